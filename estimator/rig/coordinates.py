@@ -168,6 +168,10 @@ class Coordinates:
 
     def vector(self, values: Mapping[str, Tensor | float]) -> Float[Tensor, "*batch coordinate"]:
         """Coordinates of given values of the parameters; those not given have their nominal values."""
+        return self.unmixed(values) @ torch.as_tensor(self._mix).to(self.device).T
+
+    def unmixed(self, values: Mapping[str, Tensor | float]) -> Float[Tensor, "*batch coordinate"]:
+        """Coordinates before turns, length and thickness replace wire radius and loop counts; in these a `JointNormal` is stated."""
         nominal = self.rig.nominal_values()
         complete = {
             name: torch.as_tensor(values.get(name, nominal[name]), dtype=torch.float64, device=self.device)
@@ -178,8 +182,7 @@ class Coordinates:
         columns = [own.coordinate(complete[own.name], complete.__getitem__) for own in self._natural]
         if not columns:
             return torch.zeros(0, dtype=torch.float64, device=self.device)
-        mix = torch.as_tensor(self._mix).to(self.device)
-        return torch.stack(torch.broadcast_tensors(*columns), dim=-1) @ mix.T
+        return torch.stack(torch.broadcast_tensors(*columns), dim=-1)
 
     def bounds(self) -> tuple[Float[Tensor, " coordinate"], Float[Tensor, " coordinate"]]:
         """Smallest and largest value that the prior of each free parameter allows, in the parameter's unit."""
@@ -209,13 +212,14 @@ class Coordinates:
 
     @cached_property
     def coupled(self) -> Int[Tensor, " coupled"]:
-        """Continuous columns whose log prior may depend on others too: numbers of windings, and what others are tied to."""
+        """Continuous columns whose log prior may depend on others: of windings, of a prior together, and what others are tied to."""
         wound = {coil.name for coil in self.rig.wound}
+        together = self.rig.joint.names if self.rig.joint else ()
         tied_to = {parameter.tie.to for parameter in self.rig.parameters.values() if parameter.tie}
         columns = [
             i
             for i, name in enumerate(self.names[: self.n_continuous])
-            if name.partition(".")[0] in wound or name in tied_to
+            if name.partition(".")[0] in wound or name in tied_to or name in together
         ]
         return torch.tensor(columns, dtype=torch.int64, device=self.device)
 
@@ -225,17 +229,23 @@ class Coordinates:
 
     @cached_property
     def _joint_prior(self) -> JointPrior:
-        return JointPrior(self.parameters, self._natural)
+        return JointPrior(self.rig, self.parameters, self._natural)
 
     def sample_prior(self, rng: np.random.Generator, size: int) -> Float[Tensor, "size coordinate"]:
         """Draws from the prior, as coordinates; loop counts are rounded to whole numbers that the prior allows, if there are any."""
-        draws: dict[str, Tensor] = {}
-        for parameter in self.parameters:
-            assert parameter.prior is not None
-            draw = parameter.prior.sample(rng, size)
-            draws[parameter.name] = torch.as_tensor(
-                _whole(draw, parameter.prior) if parameter.is_count else draw
-            )
+        priors = {parameter.name: parameter.prior for parameter in self.parameters if parameter.prior}
+        draws = {name: torch.as_tensor(prior.sample(rng, size)) for name, prior in priors.items()}
+        if joint := self._joint_prior.joint:
+            every = Coordinates(self.rig)  # loop counts by their logarithms
+            elementary = every.unmixed(draws)
+            columns = [every._column[name] for name in joint.names]
+            elementary[:, columns] = self._joint_prior.sample_joint(rng, size)
+            values = every._values_of(elementary.unbind(-1), elementary)
+            draws |= {
+                name: values[name].clamp(priors[name].lower, priors[name].upper) for name in joint.names
+            }
+        counts = [parameter.name for parameter in self.parameters if parameter.is_count]
+        draws |= {name: torch.as_tensor(_whole(draws[name].numpy(), priors[name])) for name in counts}
         return self.vector(draws)
 
     def _fixed(self, dtype: torch.dtype, device: torch.device) -> dict[str, Tensor]:

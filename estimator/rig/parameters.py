@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
+from collections.abc import Collection
 from dataclasses import dataclass
 
 import numpy as np
@@ -180,6 +181,32 @@ class Uniform(Prior):
 
     def sample(self, rng: np.random.Generator, size: int) -> np.ndarray:
         return rng.uniform(self.lower, self.upper, size)
+
+
+@dataclass(frozen=True)
+class JointNormal:
+    """A normal law of some parameters together, in place of the widths of their own priors, whose centres and bounds stay.
+
+    It is a law of their coordinates (`estimator.rig.natural`), in which posteriors are close to normal.
+
+    Attributes:
+        names: Of the parameters.
+        covariance: Its rows; each coordinate is a logarithm, or in the parameter's unit.
+    """
+
+    names: tuple[str, ...]
+    covariance: tuple[tuple[float, ...], ...]
+
+    def among(self, names: Collection[str]) -> JointNormal | None:
+        """What it says of those of its parameters that are among some others; None where none are.
+
+        Examples:
+            >>> JointNormal(("a", "b"), ((2.0, 1.0), (1.0, 3.0))).among(["b", "c"])
+            JointNormal(names=('b',), covariance=((3.0,),))
+        """
+        index = [i for i, name in enumerate(self.names) if name in names]
+        rows = tuple(tuple(self.covariance[i][j] for j in index) for i in index)
+        return JointNormal(tuple(self.names[i] for i in index), rows) if index else None
 
 
 @dataclass(frozen=True)

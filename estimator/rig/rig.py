@@ -16,7 +16,7 @@ from estimator.errors import InvalidInput, closest
 from estimator.glance import Shown
 from estimator.rig.bodies import AnyCoil, Coil, Mover, Sensor, UnwoundCoil, WoundCoil
 from estimator.rig.first import first_rig
-from estimator.rig.parameters import Parameter
+from estimator.rig.parameters import JointNormal, Parameter
 from estimator.rig.rules import broken_rules
 
 # Attributes that `repr` of a body leaves out. `Rig.hash` has them only where they are set, so that others keep the hash of old versions.
@@ -49,6 +49,7 @@ class Rig(Shown):
         effects: What is known or supposed to be wrong with it.
         devices: Settings of the instruments by the name of what they serve; no part of what identifies the rig.
         corrections: What its predictions are corrected by without a known cause.
+        joint: Prior of some free parameters together, such as an earlier posterior.
     """
 
     name: str
@@ -59,6 +60,7 @@ class Rig(Shown):
     effects: tuple[Cause, ...] = ()
     devices: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     corrections: tuple[Cause, ...] = ()
+    joint: JointNormal | None = None
 
     @classmethod
     def coil(
@@ -161,6 +163,7 @@ class Rig(Shown):
             for body in (*self.movers, *self.coils)
             if (value := getattr(body, what, None))
         ]
+        lines += [repr(self.joint)] if self.joint else []
         return hashlib.sha256("\n".join(lines).encode()).hexdigest()
 
     def mover(self, name: str) -> Mover:

@@ -8,9 +8,12 @@ from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
+
 from estimator.effects import EFFECTS, closest_cause
 from estimator.effects.base import Quantity
 from estimator.errors import Faults, InvalidInput, closest, in_order, quoted
+from estimator.rig.parameters import JointNormal
 from estimator.rig.rig import Cause, Rig
 from estimator.rig_files.bodies import read_coil, read_mover, read_sensor
 from estimator.rig_files.devices import DEVICES, read_devices
@@ -19,6 +22,7 @@ from estimator.units import split_unit
 from estimator.yaml_section import Section
 
 SCHEMA_VERSION = 1
+JOINT = "joint_prior"
 MOST_BODIES = 200  # coils, sensors or movers
 # Names become columns of tables, arrays of stores and parts of dotted names.
 NAME = re.compile(r"[A-Za-z0-9_-]+")
@@ -85,6 +89,7 @@ def read_rig(top: Section, numbers: Numbers | None = None) -> Rig:
         effects=_causes(top.section("effects"), "effects", rig, numbers),
         corrections=_causes(top.section("corrections"), "corrections", rig, numbers),
         devices=read_devices(top.section(DEVICES), rig),
+        joint=_joint(top.section(JOINT), rig) if JOINT in top else None,
     )
     top.finish()
     check_ties(numbers)
@@ -107,6 +112,30 @@ def _check_values(rig: Rig, numbers: Numbers) -> None:
             section, key = numbers.origin[parameter]
             with section.faults.noting():
                 section.refuse(key, rule, value)
+
+
+def _joint(section: Section, rig: Rig) -> JointNormal:
+    """A prior of some free parameters together."""
+    names, rows = section.required("of"), section.required("covariance")
+    section.finish()
+    free = [parameter.name for parameter in rig.free]
+    if not isinstance(names, list) or [names.count(name) for name in names if name in free] != [1] * len(
+        names
+    ):
+        section.refuse(
+            "of", f"must list free numbers, each once (free are {', '.join(free)})", quoted(str(names))
+        )
+    try:
+        covariance = np.array(rows, dtype=float).reshape(len(names), len(names))
+        is_usable = bool(
+            (covariance == covariance.T).all() and np.isfinite(np.linalg.cholesky(covariance)).all()
+        )
+    except (TypeError, ValueError, np.linalg.LinAlgError):
+        is_usable = False
+    if not is_usable:
+        rule = f"must be {len(names)} rows of a symmetric, positive definite matrix"
+        section.refuse("covariance", rule, quoted(str(rows)))
+    return JointNormal(tuple(names), tuple(map(tuple, covariance.tolist())))
 
 
 def _causes(sections: Section, name: str, rig: Rig, numbers: Numbers) -> tuple[Cause, ...]:

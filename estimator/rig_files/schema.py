@@ -13,14 +13,14 @@ from estimator.effects import EFFECTS
 from estimator.effects.circumstances import Extent
 from estimator.rig.bodies import Region
 from estimator.rig.harmonic_terms import HIGHEST_DEGREE
-from estimator.rig_files.read import NAME, SCHEMA_VERSION, read_rig
+from estimator.rig_files.read import JOINT, NAME, SCHEMA_VERSION, read_rig
 from estimator.units import split_unit
 from estimator.yaml_loader import Loader
 from estimator.yaml_section import Section
 
 NAMED = ("movers", "coils", "sensors")  # what stands below has names of the user's
 FREE_NUMBER = "number"
-BY_UNIT = ("corrections", "devices")  # checked by their own readers
+BY_UNIT = ("corrections", "devices", JOINT)  # checked by their own readers
 
 # Every kind of mover, coil, sensor, number and prior, so that the reader takes each of its branches once.
 TABLE = ", ".join(f"{column}: [0, 0, 0, 0, 0, 0]" for column in ("theta_rad", "a_m", "d_m", "alpha_rad"))

@@ -26,7 +26,7 @@ from estimator.rig_files.harmonic import (
     amplitude_section,
 )
 from estimator.rig_files.numbers import SI_SYMBOL
-from estimator.rig_files.read import SCHEMA_VERSION
+from estimator.rig_files.read import JOINT, SCHEMA_VERSION
 from estimator.units import UNITS
 
 
@@ -66,10 +66,16 @@ def rig_text(rig: Rig, note: str = "") -> str:
         {"sensors": {sensor.name: _sensor(sensor, rig) for sensor in rig.sensors}},
         {"effects": {cause.label: _numbers_of_cause(cause, rig) for cause in rig.effects}},
         {"corrections": {cause.label: _numbers_of_cause(cause, rig) for cause in rig.corrections}},
+        {JOINT: _joint(rig)},
         {DEVICES: {name: dict(settings) for name, settings in rig.devices.items()}},
     ]
     blocks = [dumped(section) for section in sections if all(value != {} for value in section.values())]
     return (f"# {note}\n" if note else "") + "\n".join(blocks)
+
+
+def _joint(rig: Rig) -> dict[str, Any]:
+    joint = rig.joint and rig.joint.among([parameter.name for parameter in rig.free])
+    return {"of": list(joint.names), "covariance": [list(row) for row in joint.covariance]} if joint else {}
 
 
 def _own_table(table: DenavitHartenberg, ends: ArmEnds | None) -> Line:
