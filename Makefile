@@ -11,7 +11,7 @@ DOCS_INSTALLED := .venv/.docs_installed
 # Some images of Python keep no bytecode: every process that a test starts would compile the whole project first.
 unexport PYTHONDONTWRITEBYTECODE
 
-STUDIES := paper two-arms coverage hidden open-world mixed imitations truthful written-wrong reported-flaws first-calibrations hand-placed coils-and-probe \
+STUDIES := paper two-arms coverage hidden open-world mixed imitations truthful written-wrong reported-flaws first-calibrations hand-placed remounted coils-and-probe \
 	unexplained-posteriors leave-one-out one-map autopilot policy real diagnose-real mice-floor mice-filaments \
 	harmonic-coils iron-cores storms streams batch-kills recalibrate-years recalibrate-mice fuzz-service \
 	service-storm service-soak figures bench bench-kernel bench-growth bench-profile bench-live \

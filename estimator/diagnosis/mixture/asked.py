@@ -77,9 +77,11 @@ class Asked:
 
     def is_worse_than(self, before: Asked, causes: Collection[Cause]) -> bool:
         """Whether the readings are clearly less probable with some causes and departures than before, each about a fit that has its own."""
-        items, known = before.dictionary.items, before.expansion.causes
-        led = {items[i].cause for i in before.leading if items[i].cause in known or not items[i].is_listed}
-        return self.highest_with(causes) < before.highest_with(led) - policy.LIKED_BY
+        items, known = before.dictionary.items, {*before.expansion.causes}
+        departed = {items[i].cause for i in before.leading if not items[i].is_listed}
+        led = {items[i].cause for i in before.leading}.intersection(known)
+        highest = max(before.highest_with(departed | own) for own in (led, known))
+        return self.highest_with(causes) < highest - policy.LIKED_BY
 
     def highest_with(self, causes: Collection[Cause]) -> float:
         """Log density of the readings and the most probable set of items of some causes and departures."""

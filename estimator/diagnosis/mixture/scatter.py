@@ -74,31 +74,43 @@ def answer_beside_scatter(
         tell: Called with a message for each cause of scatter.
         on_progress: Called after each expansion and each half.
     """
+    described = plain
     first, asked = climbed(plain, limits, seed, on_progress)
     scattering = list[NamedCause]()
     while len(scattering) < MOST_SCATTERING and not limits.is_over:
-        leading = Answer(first, asked, (), {})
-        if leading.is_full:
+        if not (clear := _clear(Answer(first, asked, (), {}))):
             break
-        rows = sorted(_scattering(leading), key=lambda row: -row[1])
-        log_prior_odds = _log_prior_odds(asked, len(rows))
-        if not rows or rows[0][1] + log_prior_odds < math.log(policy.STATED / (1.0 - policy.STATED)):
-            break
-        scattering.append(_named(rows, log_prior_odds))
-        cause, _, fitted = rows[0]
-        tell(f"readings scatter as {cause.label} would make them: asking again beside it")
-        plain = _with(plain, cause, fitted)
+        named, fitted = clear
+        scattering.append(named)
+        tell(f"readings scatter as {named.cause.label} would make them: asking again beside it")
+        plain = _with(plain, named.cause, fitted)
         first, asked = climbed(plain, limits, seed, on_progress, asked)
+    if scattering and not limits.is_over:  # what was found beside it may be what looked like it
+        alone = climbed(described, limits, seed, on_progress, asked)
+        if not _clear(Answer(*alone, (), {})):
+            (first, asked), scattering = alone, []
     return BesideScatter(confirmed(first, asked, limits, seed, on_progress=on_progress), tuple(scattering))
+
+
+def _clear(answer: Answer) -> tuple[NamedCause, Fit] | None:
+    """The best cause of scatter with its fit, where one is as probable as what is stated."""
+    if answer.is_full:
+        return None
+    rows = sorted(_scattering(answer), key=lambda row: -row[1])
+    log_prior_odds = _log_prior_odds(answer.asked, len(rows))
+    if not rows or rows[0][1] + log_prior_odds < math.log(policy.STATED / (1.0 - policy.STATED)):
+        return None
+    return _named(rows, log_prior_odds), rows[0][2]
 
 
 def _scattering(answer: Answer) -> list[tuple[Cause, float, Fit]]:
     """Causes of scatter with their log Bayes factors and fits: beside what leads, in the place of its departures, and in the place of all.
 
-    Scatter that is not the same everywhere looks like departures, and like causes that follow single readings. So does a record that was
-    put right wrongly, whose departures tell so. A fit has the noise that is stated, where it is stated as known.
+    What leads by readings that are linear may fit worse than what was fitted last. Scatter that is not the same everywhere looks like
+    departures, and like causes that follow single readings. So does a record that was put right wrongly, whose departures tell so. A fit has the noise that is stated, where it is stated as known.
     """
-    asked, items, rows = answer.asked, answer.asked.dictionary.items, noise_causes(leading_fit(answer))
+    asked, items = answer.asked, answer.asked.dictionary.items
+    rows = noise_causes(max(leading_fit(answer), asked.expansion.fit, key=lambda fit: fit.log_evidence))
     if any(EFFECTS[cause.name].is_record_mistake for cause in answer.plain.rig.effects):
         return rows
     listed = tuple(i for i in asked.leading if items[i].is_listed)
