@@ -97,7 +97,7 @@ def with_one_more(
     for i in evidence.argsort(descending=True).tolist():
         if items[i].repeated and items[i].cause not in alone.expansion.causes and len(clearest) < MOST_STARTS:
             clearest.setdefault(str(items[i].start), i)
-    fits = list(each(lambda i: alone.moved([*present, i]), clearest.values()))
+    fits = [at for at in each(lambda i: alone.moved([*present, i]), clearest.values()) if not at.has_idle]
     if not fits:
         return []
     likeliest = max(fits, key=lambda at: at.fit.log_evidence)

@@ -26,6 +26,7 @@ from estimator.rig.rig import Cause, Rig
 
 LEAST_POSITIVE = 0.1  # of its usual value: where a fit of a positive quantity starts at least
 CERTAIN = 1e3  # log prior of what is there in every set
+LEAST_CHANGE = 1e-3  # of all readings together, over their noise, by a cause that a fit has
 LARGE = 1.0  # stated widths from which on a size may be in the tail of its prior
 NEAR_A_BOUND = 0.01  # standard deviations of a prior from its bound, within which no fit starts
 
@@ -119,6 +120,11 @@ class Expansion:
                 fit.posterior.model.predict(without).expand(len(fit.observations), 3)
             )
         return (fit.predicted_T - predicted_T) * fit.whitening_per_T
+
+    @property
+    def has_idle(self) -> bool:
+        """Whether a cause of the fit changes no reading: a piece of iron of no volume."""
+        return any(float(self._change(cause).norm()) < LEAST_CHANGE for cause in self.causes)
 
     @cached_property
     def alone(self) -> Fit:
