@@ -107,8 +107,8 @@ def _scattering(answer: Answer) -> list[tuple[Cause, float, Fit]]:
     """Causes of scatter with their log Bayes factors and fits: beside what leads, in the place of its departures, and in the place of all.
 
     What leads by readings that are linear may fit worse than what was fitted last. Scatter that is not the same everywhere looks like
-    departures, and like causes that follow single readings. So does a record that was put right wrongly, whose departures tell so. A fit has the noise that
-    is stated, where it is stated as known.
+    departures, and like causes that follow single readings. So does a record that was put right wrongly, whose departures tell so. A fit
+    has the noise that is stated, where it is stated as known.
     """
     asked, items = answer.asked, answer.asked.dictionary.items
     rows = noise_causes(max(leading_fit(answer), asked.expansion.fit, key=lambda fit: fit.log_evidence))
