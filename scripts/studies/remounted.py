@@ -8,8 +8,7 @@ from __future__ import annotations
 
 import argparse
 import tempfile
-from collections import defaultdict
-from collections.abc import Iterator
+from collections import Counter, defaultdict
 from dataclasses import replace
 from pathlib import Path
 
@@ -22,7 +21,7 @@ from tests.hidden.handed_in import HiddenSession
 from tests.hidden.session import draw_ideal
 
 SHIFT_M = 3e-3
-VERSIONS = 3
+VISITS = 3
 FAR_SD = 4.0
 
 
@@ -31,13 +30,17 @@ def main() -> None:
     parser.add_argument("--coils", type=int, default=20)
     parser.add_argument("--first-seed", type=int, default=8000)
     options = parser.parse_args()
+    concluded = Counter[str]()
     inside, distances = defaultdict[int, list[bool]](list), defaultdict[int, list[float]](list)
     for seed in range(options.first_seed, options.first_seed + options.coils):
         with tempfile.TemporaryDirectory() as folder:
-            for version, is_inside, distance_sd in numbers_of_versions(seed, Path(folder)):
+            conclusions, numbers = measured(seed, Path(folder))
+            concluded.update(conclusions[1:])
+            for version, is_inside, distance_sd in numbers:
                 inside[version].append(is_inside)
                 distances[version].append(distance_sd)
-        print(f"coil {seed} measured {VERSIONS} times", flush=True)
+        print(f"coil {seed}: {', '.join(conclusions)}", flush=True)
+    print(f"conclusions on coils mounted anew: {dict(concluded)}")
     for version, own in sorted(inside.items()):
         n_far = sum(distance > FAR_SD for distance in distances[version])
         print(
@@ -46,12 +49,12 @@ def main() -> None:
         )
 
 
-def numbers_of_versions(seed: int, folder: Path) -> Iterator[tuple[int, bool, float]]:
-    """Version, whether the 90 % interval holds the truth, and the distance in standard deviations, for each number of one coil."""
+def measured(seed: int, folder: Path) -> tuple[list[str], list[tuple[int, bool, float]]]:
+    """Conclusions on all visits of one coil; then version, whether the interval holds the truth, and the distance of each number."""
     rng = np.random.default_rng([8102, seed])
     first = draw_ideal("paper", rng)
-    truths = {}
-    for n in range(1, VERSIONS + 1):
+    conclusions, truths = list[str](), dict[int, dict[str, float]]()
+    for n in range(1, VISITS + 1):
         shift_m = np.zeros(3) if n == 1 else rng.uniform(-SHIFT_M, SHIFT_M, size=3)
         scene = replace(first, coil_position_m=first.coil_position_m + shift_m)
         made = record(scene, (), rng.normal(size=(len(scene.schedule), 3)))
@@ -59,16 +62,18 @@ def numbers_of_versions(seed: int, folder: Path) -> Iterator[tuple[int, bool, fl
         session = replace(session_of(hidden), created=f"2026-03-0{n}T09:00:00+00:00")
         session.save(folder / "inbox" / f"{n}.zarr")
         (entry,) = recalibrate(session.rig, folder / "inbox", folder / "registry", seed=seed)
+        conclusions.append(entry.conclusion)
         if entry.made is not None:
             truths[entry.made] = hidden.truth()["values"]
-    registry = Registry(folder / "registry")
+    registry, numbers = Registry(folder / "registry"), []
     for version, values in truths.items():
-        calibration = registry.calibration(version)
-        for name, number in calibration.summary()["parameters"].items():
+        parameters = registry.calibration(version).summary()["parameters"]
+        for name, number in parameters.items():
             if not number["is_derived"]:
-                truth, (low, high) = values[name], number["ci90"]
+                truth, (low, high) = values.get(name, 0.0), number["ci90"]  # a cause that was named is not there
                 distance_sd = abs(truth - number["median"]) / number["sd"] if number["sd"] else 0.0
-                yield version, low <= truth <= high, distance_sd
+                numbers.append((version, low <= truth <= high, distance_sd))
+    return conclusions, numbers
 
 
 if __name__ == "__main__":
