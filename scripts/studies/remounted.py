@@ -70,7 +70,10 @@ def measured(seed: int, folder: Path) -> tuple[list[str], list[tuple[int, bool, 
         parameters = registry.calibration(version).summary()["parameters"]
         for name, number in parameters.items():
             if not number["is_derived"]:
-                truth, (low, high) = values.get(name, 0.0), number["ci90"]  # a cause that was named is not there
+                truth, (low, high) = (
+                    values.get(name, 0.0),
+                    number["ci90"],
+                )  # a cause that was named is not there
                 distance_sd = abs(truth - number["median"]) / number["sd"] if number["sd"] else 0.0
                 numbers.append((version, low <= truth <= high, distance_sd))
     return conclusions, numbers
