@@ -46,7 +46,7 @@ def misses(diagnosis: Diagnosis) -> str:
         return f"{rms}, the extended rig by {size_with_unit(after.rms_T, 'T', 3)}{_mostly(diagnosis)}"
     noise_rms = size_with_unit(noise_T, "T")
     if rms_T <= noise_T:
-        return f"{rms}, not at random, though noise of {noise_rms} would be as large"
+        return f"{rms}, no more than noise of {noise_rms} would, but not at random"
     noise = (
         "readings that were repeated scatter by"
         if before.noise_from == "repeats"

@@ -89,7 +89,7 @@ def no_known_cause(case: Case, text: str, _: re.Match[str]) -> Iterator[Statemen
 @sentence(
     r"the rig as described misses readings that no fit has seen by (?P<missed>[\d.]+ \S*T) rms"
     r"(?: where the rig file has noise of (?P<noise>[\d.]+ \S*T)| where readings that were repeated scatter by (?P<scatter>[\d.]+ \S*T)"
-    r"|, not at random, though noise of (?P<random>[\d.]+ \S*T) would be as large)?"
+    r"|, no more than noise of (?P<random>[\d.]+ \S*T) would, but not at random)?"
     r"(?:, mostly in (?P<axis>[xyz]) of (?P<sensor>\w+))?"
 )
 def misses(case: Case, text: str, match: re.Match[str]) -> Iterator[Statement]:

@@ -21,4 +21,4 @@ def test_a_component_is_told_only_where_more_than_noise_is_missed(monkeypatch, r
     diagnosis: Any = SimpleNamespace(fits=SimpleNamespace(before=lack, after=lack), improvement=None)
     told = gain.misses(cast(Diagnosis, diagnosis))
     assert (", mostly in y of hall" in told) == has_most
-    assert ("would be as large" in told) != has_most
+    assert ("but not at random" in told) != has_most
