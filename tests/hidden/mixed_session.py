@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from tests.hidden.causes.surroundings import has_room_for_neighbour
 from tests.hidden.flaw import Flaw, record
 from tests.hidden.handed_in import HiddenSession, Visible
 from tests.hidden.library import patterns
@@ -191,7 +192,9 @@ def _session(
     rng: np.random.Generator,
 ) -> HiddenSession:
     """The session with its noise, and an idle neighbour in a quarter of them."""
-    has_neighbour = bool(rng.random() < 0.25) or any(f.cause.name == "neighbour_coil" for f in flaws)
+    may_have_neighbour = bool(rng.random() < 0.25)
     noise = rng.normal(size=(len(scene.schedule), 3))
     made, unflawed = record(scene, flaws, noise), record(scene, (), noise)
+    has_neighbour = may_have_neighbour and has_room_for_neighbour(made.truths)
+    has_neighbour |= any(flaw.cause.name == "neighbour_coil" for flaw in flaws)
     return HiddenSession(seed, scene, flaws, visible, made, unflawed, has_neighbour, rig)

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from tests.hidden.causes.surroundings import has_room_for_neighbour
 from tests.hidden.coil import Winding
 from tests.hidden.flaw import Cause, Flaw, record
 from tests.hidden.handed_in import HiddenSession, Visible
@@ -44,9 +45,11 @@ def draw_open_session(stream: Sequence[int], choice: Choice | None, sigma: float
             if found is None:
                 continue
             flaws, visible = (found[0],), (Visible(found[1], None),)
-        has_neighbour = bool(rng.random() < 0.25) or any(f.cause.name == "neighbour_coil" for f in flaws)
+        may_have_neighbour = bool(rng.random() < 0.25)
         noise = rng.normal(size=(len(scene.schedule), 3))
         made, unflawed = record(scene, flaws, noise), record(scene, (), noise)
+        has_neighbour = may_have_neighbour and has_room_for_neighbour(made.truths)
+        has_neighbour |= any(flaw.cause.name == "neighbour_coil" for flaw in flaws)
         return HiddenSession(seed, scene, flaws, visible, made, unflawed, has_neighbour, rig)
     raise ValueError(f"no cause that was asked for reaches {sigma:g} sigma at a plausible size")
 

@@ -7,6 +7,7 @@ from functools import partial
 
 import numpy as np
 
+from tests.hidden.causes.surroundings import has_room_for_neighbour
 from tests.hidden.coil import Winding
 from tests.hidden.flaw import Cause, Flaw, record
 from tests.hidden.handed_in import HiddenSession, Visible
@@ -48,9 +49,10 @@ def draw_session(
     scene = draw_ideal(protocol, rng)
     hidden = _hide(Adjustable.of(scene), causes, visible_sigma, rng)
     flaws = tuple(flaw for flaw, _ in hidden)
-    has_neighbour = bool(rng.random() < 0.25) or "neighbour_coil" in names
+    may_have_neighbour = bool(rng.random() < 0.25)
     noise = rng.normal(size=(len(scene.schedule), 3))
     made, unflawed = record(scene, flaws, noise), record(scene, (), noise)
+    has_neighbour = (may_have_neighbour and has_room_for_neighbour(made.truths)) or "neighbour_coil" in names
     visible = tuple(visible for _, visible in hidden)
     return HiddenSession(seed, scene, flaws, visible, made, unflawed, has_neighbour)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import replace
 
 import numpy as np
@@ -18,6 +19,19 @@ NEIGHBOUR_POSITION_M = (0.06, 0.03, 0.1)
 
 # Along x, y, z: where the coil's travel ends, and what the sensor's holder needs.
 NEAREST_PLATE_M = (0.13, 0.13, 0.05)
+
+
+def has_room_for_neighbour(truths: Iterable[Truth]) -> bool:
+    """Whether an idle second coil would stand in no plate of iron."""
+    for truth in truths:
+        numbers = {known.name: known.value for known in truth.parameters}
+        if "normal_x" in numbers:
+            along_m = sum(
+                numbers[f"normal_{axis}"] * at for axis, at in zip("xyz", NEIGHBOUR_POSITION_M, strict=True)
+            )
+            if abs(along_m - numbers["distance_m"]) < NEIGHBOUR.radius_m + NEIGHBOUR.length_m:
+                return False
+    return True
 
 
 def with_source(scene: Scene, source: Source) -> Scene:
