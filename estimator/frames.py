@@ -12,6 +12,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TypeAlias
 
+import numpy as np
 from jaxtyping import Float, Int
 
 from estimator.rotations import rotation_from_vector, turned, turned_back, vector_from_rotation
@@ -129,7 +130,7 @@ def selected(poses: Sequence[Transform], which: Int[Tensor, "*batch row"]) -> Tr
 
 def in_order(poses: Sequence[Transform], rows: Sequence[Int[Tensor, "..."]]) -> Transform:
     """Poses at the rows that each belongs to, in the order of the rows, which together are all."""
-    batch = torch.broadcast_shapes(*(pose.translation_m.shape[:-2] for pose in poses))
+    batch = np.broadcast_shapes(*(pose.translation_m.shape[:-2] for pose in poses))
     order = torch.cat(list(rows)).argsort()
     rotations = [pose.rotation.expand(*batch, len(own), 3, 3) for pose, own in zip(poses, rows, strict=True)]
     places_m = [pose.translation_m.expand(*batch, len(own), 3) for pose, own in zip(poses, rows, strict=True)]

@@ -135,7 +135,7 @@ def ways_between_s(
         pace: Speeds of the arms and ramp rates of the supplies.
         before, after: Numbers of the stops at both ends of each way.
     """
-    total_s = torch.zeros(torch.broadcast_shapes(before.shape, after.shape), dtype=torch.float64)
+    total_s = torch.zeros(np.broadcast_shapes(before.shape, after.shape), dtype=torch.float64)
     for mover in rig.movers:
         motion = stops.motion[mover.name]
         flange_m = flange_to_reach(mover, motion, Transform.identity()).translation_m

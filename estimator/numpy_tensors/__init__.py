@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from estimator.numpy_tensors import arithmetic
-from estimator.numpy_tensors.arithmetic import Size, dims, float32, float64, int64, own, pair
+from estimator.numpy_tensors.arithmetic import dims, float32, float64, int64, own, pair
 from estimator.numpy_tensors.tensor import Tensor, lacking
 
 SMALL_STEP = 1e-100  # nothing is subtracted, so that it may be as small as numbers are
@@ -127,10 +127,6 @@ def where(condition: Tensor, first: Any, second: Any) -> Tensor:
 def broadcast_tensors(*tensors: Tensor) -> tuple[Tensor, ...]:
     shape = np.broadcast_shapes(*(each.array.shape for each in tensors))
     return tuple(each.expand(*shape) for each in tensors)
-
-
-def broadcast_shapes(*shapes: tuple[int, ...]) -> Size:
-    return Size(np.broadcast_shapes(*shapes))
 
 
 def meshgrid(*axes: Tensor, indexing: Any) -> tuple[Tensor, ...]:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
+
 from estimator.effects.base import Quantity, Theta, normal, pure, shape
 from estimator.effects.circumstances import Circumstances
 from estimator.effects.stages import Current, Field, Points, SourceEffect
@@ -27,7 +29,7 @@ def coil_ovality(points_coil_m: Points, winding: Winding, rule: Rule, theta: The
 
     Source: a coil pressed in a vice or wound on a printed former, 0 to 2 %.
     """
-    batch = torch.broadcast_shapes(points_coil_m.shape[:-2], winding.radius_m.shape)
+    batch = np.broadcast_shapes(points_coil_m.shape[:-2], winding.radius_m.shape)
     n_points = max(1, POINTS_AT_ONCE // math.prod(batch))
     parts = [
         _oval_less_round(some_m, winding, rule, theta) for some_m in points_coil_m.split(n_points, dim=-2)
