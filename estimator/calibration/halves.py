@@ -10,7 +10,7 @@ from collections.abc import Iterator
 
 import torch
 from jaxtyping import Bool, Float
-from scipy import stats
+from scipy.special import fdtrc
 from torch import Tensor
 
 from estimator.calibration.linear_fit import Disagreement, LinearFit
@@ -48,7 +48,7 @@ def unseen(fit: LinearFit, beyond: LinearFit) -> Disagreement:
     )
     ratio = float(square / n / (fit.left_square / n_seen))
     words = "unseen readings are missed by more than the noise and the intervals of the fit"
-    return Disagreement(words, float(stats.f.sf(ratio, n, n_seen)))
+    return Disagreement(words, float(fdtrc(n, n_seen, ratio)))
 
 
 def _tests(fit: LinearFit) -> Iterator[tuple[str, Tensor]]:

@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 import torch
 from jaxtyping import Bool, Float
-from scipy import stats
+from scipy.special import betaincc
 from torch import Tensor
 
 from estimator.inference.levenberg_marquardt import prior_gradient_and_precision
@@ -130,5 +130,5 @@ class LinearFit:
         can_tell = (n_columns > 0) & (n_columns < n_left)
         p_values = np.ones(len(columns))
         half, rest = 0.5 * n_columns[can_tell], 0.5 * (n_left - n_columns[can_tell])
-        p_values[can_tell] = stats.beta.sf(share.numpy().clip(max=1.0)[can_tell], half, rest)
+        p_values[can_tell] = betaincc(half, rest, share.numpy().clip(0.0, 1.0)[can_tell])
         return p_values

@@ -8,8 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 import torch
-from scipy.interpolate import RegularGridInterpolator
-from scipy.ndimage import distance_transform_edt
+from scipy.ndimage import distance_transform_edt, zoom
 
 from estimator.calibration.fitted import fitted, sensor_positions
 from estimator.calibration.result import Calibration
@@ -80,8 +79,7 @@ def coil_plane(
     coarse = _relative_half_width(alone, coil, best, _grid(coarse_x_m, coarse_z_m))
     coarse = coarse.reshape(len(coarse_z_m), -1)
     nearest = distance_transform_edt(~np.isfinite(coarse), return_distances=False, return_indices=True)
-    between = RegularGridInterpolator((coarse_z_m, coarse_x_m), coarse[tuple(nearest)])
-    half_width = between(np.stack(np.meshgrid(z_m, x_m, indexing="ij"), axis=-1))
+    half_width = zoom(coarse[tuple(nearest)], n_points / len(coarse), order=1)  # linear between its points
     half_width[~np.isfinite(field).all(-1).reshape(n_points, n_points)] = np.nan  # inside the winding
     return CoilPlane(
         coil.name, x_m, z_m, field.reshape(n_points, n_points, 3), half_width, positions_m, winding

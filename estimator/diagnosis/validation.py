@@ -8,7 +8,7 @@ from typing import Any
 
 import torch
 from jaxtyping import Float
-from scipy import stats
+from scipy.special import ndtr, stdtrit
 from torch import Tensor
 
 from estimator.calibration.result import Calibration
@@ -112,7 +112,7 @@ class Improvement:
         The standard error of few readings is itself uncertain: their mean over it follows Student's t.
         """
         freedom = max(len(self.before.log_density) - 1, 1)
-        return self.elpd_se * float(stats.t.isf(stats.norm.sf(least_se), freedom))
+        return self.elpd_se * float(-stdtrit(freedom, ndtr(-least_se)))
 
 
 def improvement_of(

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 from jaxtyping import Float, Int
-from scipy import stats
+from scipy.special import betaincc, chdtrc, fdtrc, ndtr  # what scipy.stats calls, without its long import
 from torch import Tensor
 
 from estimator.diagnosis.fitting import Fit
@@ -73,15 +73,15 @@ def lack_of_fit(fit: Fit) -> LackOfFit:
         noise_T = repeats[0][sensor]
         squares = float((residual_T / noise_T).square().sum())
         mean_square = max(squares - n_free, 0.0) / (n - n_fitted - n_free)
-        p_value = float(stats.f.sf(mean_square, n - n_fitted - n_free, n_free))
+        p_value = float(fdtrc(n - n_fitted - n_free, n_free, mean_square))
         return LackOfFit(rms_T, float(noise_T.square().mean().sqrt()), "repeats", p_value)
     expected_T, width = _specified(fit)
     squares = float((residual_T / expected_T[sensor]).square().sum())
     if width == 0.0:
-        p_value = float(stats.chi2.sf(squares, n - n_fitted))
+        p_value = float(chdtrc(n - n_fitted, squares))
     else:
         ratio = 0.5 * math.log(squares / n)
-        p_value = float(stats.norm.sf(ratio / math.hypot(width, 1.0 / math.sqrt(2.0 * n))))
+        p_value = float(ndtr(-ratio / math.hypot(width, 1.0 / math.sqrt(2.0 * n))))
     return LackOfFit(rms_T, float(expected_T[sensor].square().mean().sqrt()), "specification", p_value)
 
 
@@ -165,7 +165,7 @@ def _p_values(
 ) -> Float[Tensor, "*test"]:
     """Probability that noise in n components has a larger share of its square along so many directions."""
     shape = 0.5 * n_directions.numpy()
-    return torch.from_numpy(np.asarray(stats.beta.sf(share.clamp(max=1.0).numpy(), shape, 0.5 * n - shape)))
+    return torch.from_numpy(np.asarray(betaincc(shape, 0.5 * n - shape, share.clamp(0.0, 1.0).numpy())))
 
 
 def _repeats(observations: Observations) -> tuple[Float[Tensor, " sensor"], int] | None:
