@@ -91,7 +91,7 @@ def plan_of(settings: Settings) -> dict[str, object]:
     return {
         "address": address_of(settings, settings.port),
         "tokens": f"needed; {_n_tokens(settings)} are valid" if settings.needs_tokens else "not needed",
-        "workers": settings.scheduler or f"{settings.n_workers} processes",
+        "workers": settings.scheduler or f"{settings.n_workers} process{'es' * (settings.n_workers != 1)}",
         "settings": {key: str(getattr(settings, key)) for key in KEYS},
     }
 
