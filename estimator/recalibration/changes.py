@@ -25,6 +25,7 @@ from estimator.tensors import Tensor, torch
 
 SCATTER = "something without a known pattern"
 LEAST_SHARE = 1e-6  # of a prior's width: a loop count that is known has no spread at all
+ROUNDING = 1e-9  # of the field: what moves it by less within the width of its prior, such as the turn of a round coil, moves nothing
 
 
 @dataclass(frozen=True)
@@ -55,6 +56,7 @@ class Expansion:
         names: Of all numbers but the noise.
         own: Which of them the calibration has.
         covariance: Of these.
+        scale: Width of the prior of every number.
     """
 
     def __init__(self, calibration: Calibration, stops: Observations) -> None:
@@ -63,6 +65,7 @@ class Expansion:
         self.coordinates = Coordinates(with_ordinary(rig, stops, self._rules))
         self._known = known_coordinates(self.coordinates)
         self.names = [self.coordinates.names[i] for i in self._known.tolist()]
+        self.scale = self.coordinates.scale[self._known]
         own = Coordinates(rig)
         values = calibration.draw_values(N_DRAWS)
         draws = own.vector({name: values[name] for name in own.names})
@@ -132,7 +135,8 @@ class Changes:
             n_visits: Most visits of each candidate; fewer than one where not all can be visited.
             misses: Rate of misses that a test shall have.
         """
-        change_T = share * float(candidates.predicted_T.square().mean().sqrt())
+        field_T = float(candidates.predicted_T.square().mean().sqrt())
+        change_T = share * field_T
         effect_T = (candidates.columns * candidates.sigma_T[:, None]).square().mean(0).sqrt()
         sizes = change_T / effect_T.clamp(min=1e-300)
         own, columns = expansion.own, candidates.columns
@@ -140,14 +144,15 @@ class Changes:
         before = torch.linalg.inv(expansion.covariance) + information[own][:, own]
         beside = information[own]
         certainty = information.diagonal() - (beside * torch.linalg.solve(before, beside)).sum(0)
-        is_shown = (effect_T > 0.0) & (0.5 * sizes.square() * certainty > -math.log(0.5 * misses))
+        does_anything = effect_T * expansion.scale > ROUNDING * field_T
+        is_shown = does_anything & (0.5 * sizes.square() * certainty > -math.log(0.5 * misses))
         numbers = is_shown.nonzero().flatten()
         if not len(numbers):
             raise InvalidInput(
                 f"a change must be large enough to show at the candidate stops; received {share:.3g} of the field"
             )
         names = tuple(expansion.names[i] for i in numbers.tolist())
-        left_out = tuple(expansion.names[i] for i in (~is_shown & (effect_T > 0.0)).nonzero().flatten())
+        left_out = tuple(expansion.names[i] for i in (~is_shown & does_anything).nonzero().flatten())
         more = 1.0 + (change_T / candidates.sigma_T).square()
         expected = 0.5 * n_visits * float((torch.log(more) - (1.0 - 1.0 / more)).sum())
         if expected > -math.log(0.5 * misses):

@@ -19,6 +19,7 @@ from estimator.planning.candidates import clear_candidates
 from estimator.planning.decision import Limits
 from estimator.readings.observations import Observations
 from estimator.readings.plan import Plan
+from estimator.recalibration.changes import Changes
 from estimator.recalibration.recheck import CHANGED, HOLDS, UNDECIDED, Recheck
 from estimator.recalibration.sequential import Rates
 from estimator.rig.coordinates import nominal_tensors
@@ -131,6 +132,17 @@ def test_it_is_undecided_at_its_limit_and_leaves_out_what_stops_do_not_show(smal
     entries, end = world(short, stops, truth, 7).run()
     assert (len(entries), end.outcome) == (4, UNDECIDED)
     assert set(short.changes.left_out) > set(recheck(small_calibration, stops).changes.left_out)
+
+
+def test_what_moves_the_field_by_rounding_alone_is_no_change(asked, stops):
+    """The turn of a round coil about its axis: a size of 1e14 rad would be as large as any change, and never be excluded."""
+    candidates, number = asked.expansion.whitened(stops.with_field(torch.zeros_like(stops.field_sensor_T))), 3
+    rounded = candidates.columns.clone()
+    rounded[:, number] *= 1e-16
+    changes = Changes.of(asked.expansion, replace(candidates, columns=rounded), SHARE, 1.0, 0.05)
+    name = asked.expansion.names[number]
+    assert name in asked.changes.names
+    assert name not in changes.names + changes.left_out
 
 
 @pytest.mark.whole
