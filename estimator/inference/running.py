@@ -7,6 +7,7 @@ maximum of the batch fit. Where a step is no longer small compared with the unce
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from math import inf
 
 import torch
@@ -46,6 +47,9 @@ MOST_SWEEPS = 30  # after a reading; a maximum at a bound of the prior is never 
 class RunningFit:
     """Maximum and curvature of the posterior of one rig.
 
+    Args:
+        rig: With priors.
+        start: Values to begin from; nominal ones where they are not among them.
     Attributes:
         coordinates: Meaning of the vectors.
         vector: The maximum.
@@ -55,10 +59,10 @@ class RunningFit:
         is_polished: Whether the vector is the maximum for all readings so far.
     """
 
-    def __init__(self, rig: Rig) -> None:
+    def __init__(self, rig: Rig, start: Mapping[str, float] | None = None) -> None:
         self.coordinates = Coordinates(rig)
         n = self.coordinates.n
-        self.vector = self.coordinates.start()
+        self.vector = self.coordinates.vector({**rig.nominal_values(), **(start or {})})
         self.n_fits = self.n_sweeps = 0
         self.is_polished = False
         self._point = self.vector

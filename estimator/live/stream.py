@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import torch
 
 from estimator.derivatives import jacobian_of
+from estimator.effects.everywhere import tells_constant, with_everywhere
 from estimator.inference.running import RunningFit
 from estimator.live.watch import Alarm, Watch
 from estimator.readings.metrics import HALF_WIDTH_90
@@ -53,8 +54,11 @@ class Estimate:
 class Stream:
     """The running calibration of one rig.
 
-    Attributes:
+    Args:
         rig: The rig with its priors.
+    Attributes:
+        rig: As it is fitted: with the field of the room and the zeros of sensors that it does not mention, as soon as readings tell them
+            from the fields of the coils, as `calibrate` fits it.
         observations: All readings of the fit, in order of arrival; None before the first.
         n_skipped: Number of readings left out of the fit: those for validation and those without a measured component.
 
@@ -72,9 +76,10 @@ class Stream:
 
     def __init__(self, rig: Rig) -> None:
         rig.check_free()
-        self.rig = rig
+        self.rig = self._described = rig
         self.observations: Observations | None = None
         self.n_skipped = 0
+        self._tells_constant = False
         self._fit = RunningFit(rig)
         self._watch = Watch(rig)
 
@@ -109,8 +114,20 @@ class Stream:
             n_before = len(joined) - len(new)
             if 3 * n_before >= FEWEST_COMPONENTS * len(self.rig.free):
                 self._watch.look(innovation, new, n_before + 1)
+            self._fit_everywhere(joined)
         n = 0 if self.observations is None else len(self.observations)
         return Estimate(n, self.intervals(), time.monotonic() - begin_s, self.is_polished)
+
+    def _fit_everywhere(self, readings: Observations) -> None:
+        """Begin anew with what no laboratory is without, or without it, where readings have begun or ceased to tell it."""
+        if tells_constant(readings) == self._tells_constant:
+            return
+        self._tells_constant = not self._tells_constant
+        fitted = with_everywhere(self._described, readings).rig
+        if fitted.free != self.rig.free:
+            values = {name: float(value) for name, value in self.values.items()}
+            self.rig, self._fit = fitted, RunningFit(fitted, values)
+            self._fit.update(readings, len(readings))
 
     @property
     def can_polish(self) -> bool:
@@ -144,7 +161,7 @@ class Stream:
     def improve(self, values: Mapping[str, float]) -> None:
         """Refit from other values, such as those of a fit from many starts, and keep the better optimum."""
         if self.observations is not None:
-            start = self._fit.coordinates.vector(values)
+            start = self._fit.coordinates.vector({**self.rig.nominal_values(), **values})
             self._fit.refit(self.observations, start)
 
     def intervals(self) -> dict[str, Interval]:

@@ -123,7 +123,7 @@ class Drawn:
             n_appended=n,
             n_readings=estimate.n_readings,
             places=[*before.places, *_places(engine, n - engine.n_new)][-MOST_PLACES:],
-            coils=outlines(rig, engine.stream.values, observations_of(entries[-1:], rig)),
+            coils=outlines(engine.stream.rig, engine.stream.values, observations_of(entries[-1:], rig)),
             history=history,
             devices=updated(before.devices, entries, rig),
         )
@@ -173,7 +173,7 @@ def _places(engine: LiveEngine, first: int) -> list[Place]:
     """Places by the present estimate, from an entry on. A stop of several sensors has one number."""
     entries = engine.entries[first:]
     numbers = [n for n, entry in enumerate(entries, start=first + 1) for _ in entry["field_T"]]
-    return places(engine.rig, engine.stream.values, observations_of(entries, engine.rig), numbers)
+    return places(engine.stream.rig, engine.stream.values, observations_of(entries, engine.rig), numbers)
 
 
 def _silent_s(path: Path) -> float | None:

@@ -10,11 +10,14 @@ import numpy as np
 import pytest
 import torch
 
+from estimator.effects.everywhere import with_everywhere
 from estimator.live.stream import Stream
 from estimator.model.simulate import simulate
 from estimator.readings.plan import load_plan
 from estimator.rig.coordinates import Coordinates
 from estimator.rig_files.read import load_rig
+from estimator.store.importers.readings_csv import read_readings_csv
+from tests.hidden.session import draw_session
 
 
 def test_its_intervals_are_those_of_the_calibration(small_session, small_calibration):
@@ -39,6 +42,21 @@ def test_what_comes_at_once_counts_as_what_comes_one_by_one(small_session):
     for name, interval in together.intervals.items():
         assert single.intervals[name].value == pytest.approx(interval.value, abs=0.05 * interval.sd)
         assert single.intervals[name].sd == pytest.approx(interval.sd, rel=0.05)
+
+
+def test_the_field_of_the_room_is_fitted_where_the_rig_file_does_not_mention_it(tmp_path):
+    """As `calibrate` does; taken for noise, it put the noise ten standard deviations off and raised alarms."""
+    hidden = draw_session(92000, "background_field", 30.0, "recommended")
+    hidden.write(tmp_path)
+    readings = read_readings_csv(tmp_path / "readings.csv", rig := load_rig(tmp_path / "rig.yaml")).observations
+    stream = Stream(rig)
+    for rows in torch.arange(len(readings)).split(20):
+        last = stream.update(readings.rows(rows))
+    assert stream.alarms == ()
+    assert stream.rig.free == with_everywhere(rig, readings.calibration).rig.free
+    truth = hidden.truth()["values"]
+    off_sd = {n: (value - last.intervals[n].value) / last.intervals[n].sd for n, value in truth.items()}
+    assert max(map(abs, off_sd.values())) < 4.0, off_sd
 
 
 @pytest.mark.parametrize("seed", [0, 4])
