@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 
 from estimator.batching.jobs import PLAIN
-from estimator.batching.result import BatchResult
+from estimator.batching.result import BatchResult, most_probable
 from estimator.calibration.calibrate import versions
 from estimator.errors import listed
 from estimator.reporting import plots
@@ -30,7 +30,7 @@ def overview(result: BatchResult, command: str) -> str:
         command: The command that produced it, shown as provenance.
     """
     table = result.table()
-    best = _best(table)
+    best = most_probable(table)
     names = _scalars(result)
     tables = [_across_sessions(best, names)] if len(best) > 1 and names else []
     tables += [_fits(table)] if len(table) else []
@@ -47,14 +47,6 @@ def overview(result: BatchResult, command: str) -> str:
         },
     )
     return render_report(page)
-
-
-def _best(table: pd.DataFrame) -> pd.DataFrame:
-    """The most probable hypothesis of every session and coil."""
-    if not len(table):
-        return table
-    groups = [table["session_hash"], table["coil"].fillna("")]
-    return table.loc[table.groupby(groups, sort=False)["log_evidence"].idxmax()]
 
 
 def _scalars(result: BatchResult) -> list[str]:
@@ -121,6 +113,7 @@ def _wrong(best: pd.DataFrame) -> list[str]:
 
 def _warnings(result: BatchResult, table: pd.DataFrame) -> list[str]:
     warnings = [f"{Path(what).name}: {why}" for what, why in result.failed.items()]
+    warnings += [f"{caution[:1].upper()}{caution[1:]}." for caution in result.cautions()]
     if len(table):
         warnings += [
             f"{job} did not converge; its intervals are provisional."
@@ -160,11 +153,12 @@ def _fits(table: pd.DataFrame) -> Table:
             microtesla(row["calibration_rmse_T"]),
             microtesla(row["validation_rmse_T"]) if pd.notna(row["validation_rmse_T"]) else "—",
             "sampled" if row["is_sampled"] else "Laplace",
+            row["verdict"] or "—",
         ]
         for _, row in table.iterrows()
     ]
     errors = ["error of the fit", "of validation"]
-    header = ["session", "hypothesis", "log evidence", "probability", *errors, "intervals"]
+    header = ["session", "hypothesis", "log evidence", "probability", *errors, "intervals", "verdict"]
     return Table("Fits", header, rows, "Errors are the rms of the vector.")
 
 

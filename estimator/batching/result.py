@@ -47,7 +47,10 @@ class BatchResult:
         ]
 
     def table(self) -> pd.DataFrame:
-        """One row for each job, with its parameters in columns `NAME`, `NAME.sd`, `NAME.low` and `NAME.high` (90 %)."""
+        """One row for each job, with its parameters in columns `NAME`, `NAME.sd`, `NAME.low` and `NAME.high` (90 %).
+
+        `verdict` says whether the posterior can be used (`good`, `suspect` or `unusable`); it is empty where none was sampled.
+        """
         rows = []
         for name, record in zip(self.names, self.records(), strict=True):
             row = {
@@ -58,6 +61,7 @@ class BatchResult:
                 "log_evidence": record["log_evidence"],
                 "is_sampled": record["is_sampled"],
                 "is_converged": record["is_converged"],
+                "verdict": record["verdict"],
                 "calibration_rmse_T": record["vector_rmse_T"]["calibration"],
                 "validation_rmse_T": record["vector_rmse_T"]["validation"],
                 "session_hash": record["session_hash"],
@@ -77,6 +81,23 @@ class BatchResult:
             assert isinstance(position, int)
             table.insert(position + 1, "probability", probabilities(table))
         return table
+
+    def cautions(self) -> list[str]:
+        """Sentences on the most probable hypotheses whose posteriors are not good, or were not sampled and so not judged."""
+        best = most_probable(self.table())
+        if not len(best):
+            return []
+        sentences = [
+            f"{verdict} ({n} of {len(best)}): intervals hold only if nothing is wrong, which coilcal diagnose looks for"
+            for verdict, n in best["verdict"].value_counts().items()
+            if verdict != "good"
+        ]
+        n_not = int(best["verdict"].isna().sum())
+        return (
+            [*sentences, f"not judged ({n_not} of {len(best)}): no posterior was sampled"]
+            if n_not
+            else sentences
+        )
 
     def save_table(self, folder: Path) -> None:
         """Write the table as `summary.csv`, with all digits, and as `summary.parquet`."""
@@ -134,6 +155,14 @@ class BatchResult:
         return self.folder / name / CALIBRATION_FOLDER
 
 
+def most_probable(table: pd.DataFrame) -> pd.DataFrame:
+    """The rows of a table with the most probable hypothesis of each session and coil."""
+    if not len(table):
+        return table
+    groups = [table["session_hash"], table["coil"].fillna("")]
+    return table.loc[table.groupby(groups, sort=False)["log_evidence"].idxmax()]
+
+
 def probabilities(table: pd.DataFrame) -> pd.Series[float]:
     """Posterior probability of each hypothesis among those of the same session and coil, with equal prior probabilities."""
     groups = [table["session_hash"], table["coil"].fillna("")]
@@ -145,7 +174,7 @@ def probabilities(table: pd.DataFrame) -> pd.Series[float]:
 def _result(folder: Path) -> dict[str, Any]:
     result = read_json(folder / RESULT_FILE, fault=CorruptStore)
     summary_file = folder / CALIBRATION_FOLDER / SUMMARY_FILE
-    result["is_sampled"] = summary_file.exists()
+    result["is_sampled"], result["verdict"] = summary_file.exists(), None
     if result["is_sampled"]:
         summary = read_json(summary_file, fault=CorruptStore)
         result["parameters"] = {
@@ -153,4 +182,5 @@ def _result(folder: Path) -> dict[str, Any]:
             for name, numbers in summary["parameters"].items()
         }
         result["is_converged"] = summary["is_converged"]
+        result["verdict"] = summary.get("quality", {}).get("verdict")
     return result

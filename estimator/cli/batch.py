@@ -120,6 +120,7 @@ def batch_command(
         ),
         f"table: {summary['table']}",
         f"page: {summary['page']}",
+        *result.cautions(),
     ]
     show(summary, "\n".join(lines), as_json)
     for name, fault in result.failed.items():

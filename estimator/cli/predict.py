@@ -74,6 +74,7 @@ def predict_command(
     from estimator.calibration.result import Calibration
     from estimator.cli.progress import COUNTED_EVERY_S, UNTOLD_S, Reporter
     from estimator.devices import device_named, precision_named
+    from estimator.export.labels import caution_of
     from estimator.store.staging import check_output, staged
     from estimator.tensors import torch
 
@@ -110,7 +111,11 @@ def predict_command(
                 for numbers, inside in zip(table, is_inside.tolist(), strict=True)
             )
     inside = f"; {n_inside} lie inside a winding and are empty" if n_inside else ""
-    text = f"{len(points_m)} points written to {out}{inside}\n{grid_words(coordinates_m)}"
-    show(
-        {"file": str(out), "points": len(points_m), "inside_winding": n_inside, "level": level}, text, as_json
-    )
+    caution = caution_of(calibration)
+    lines = [
+        f"{len(points_m)} points written to {out}{inside}",
+        grid_words(coordinates_m),
+        *filter(None, [caution]),
+    ]
+    told = {"file": str(out), "points": len(points_m), "inside_winding": n_inside, "level": level}
+    show({**told, "caution": caution}, "\n".join(lines), as_json)

@@ -9,6 +9,7 @@ from typing import Any
 
 from estimator.comparison.calibrations import SideBySide, verdict_of
 from estimator.errors import listed
+from estimator.export.labels import caution_of
 from estimator.reporting import plots
 from estimator.reporting.numbers import displays, microtesla, size_with_unit
 from estimator.reporting.page import Picture, ReportPage, Table, render_report
@@ -38,7 +39,8 @@ def sentences(compared: SideBySide) -> list[str]:
         told.append(
             "Both come from the same readings: they are not independent, so standard deviations are too wide."
         )
-    return told
+    cautions = zip(compared.names, map(caution_of, compared.calibrations), strict=True)
+    return told + [f"{name} is {caution}" for name, caution in cautions if caution]
 
 
 def number_table(compared: SideBySide) -> Table:

@@ -35,9 +35,18 @@ def plain_words(text: str) -> str:
     return re.sub(r"[^\w.,:()+-]+", " ", text).strip()
 
 
+def caution_of(calibrated: Calibrated) -> str:
+    """Why a calibration is not good, with what that means for its intervals; empty where it is good or was never judged."""
+    quality = calibrated.summary_json.get("quality", {})
+    if quality.get("verdict", "good") == "good":
+        return ""
+    return f"{quality['verdict']}: {quality['reasons'][0]} Intervals hold only if nothing is wrong."
+
+
 def regions_of(calibrated: Calibrated) -> list[str]:
-    """Extent of the readings about each coil: a sentence each, in mm in the coil's frame."""
-    lines = []
+    """Extent of the readings about each coil, in mm in the coil's frame, and why the calibration is not good: a sentence each."""
+    caution = plain_words(caution_of(calibrated))
+    lines = [f"the calibration is {caution}"] if caution else []
     for coil in calibrated.rig.coils:
         points_m = points_about(calibrated, coil)
         if len(points_m):
@@ -47,7 +56,7 @@ def regions_of(calibrated: Calibrated) -> list[str]:
                 for axis, a, b in zip("xyz", low.tolist(), high.tolist(), strict=True)
             )
             lines.append(f"readings about {coil.name} lay at {', '.join(spans)} mm in its frame.")
-    return lines or ["it was made from no readings."]
+    return lines if len(lines) > bool(caution) else [*lines, "it was made from no readings."]
 
 
 def points_about(calibrated: Calibrated, coil: AnyCoil) -> Float[Tensor, "reading 3"]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import html
 import json
 import shutil
 from collections.abc import Iterator
@@ -16,8 +17,8 @@ from distributed import LocalCluster
 from estimator import SamplerSettings
 from estimator.batching import batch
 from estimator.batching.jobs import PLAIN, jobs_of, stacks
-from estimator.batching.page import _best, _scalars, _verdict, overview
-from estimator.batching.result import BatchResult
+from estimator.batching.page import _scalars, _verdict, overview
+from estimator.batching.result import BatchResult, most_probable
 from estimator.batching.work import fit, is_enough
 from estimator.errors import InvalidInput
 from estimator.model.simulate import simulate
@@ -122,6 +123,7 @@ def test_leaders_are_sampled_and_their_posterior_is_what_the_table_shows(session
     result = batch(sessions[:1], out=tmp_path, settings=settings, scheduler=address)
     (row,) = result.table().to_dict("records")
     assert row["is_sampled"]
+    assert row["verdict"] == "good"
     draws = result.calibration(row["job"]).draws["coil1.radius_m"]
     assert row["coil1.radius_m"] == pytest.approx(float(np.median(draws)))
     with pytest.raises(InvalidInput, match="must have been sampled"):
@@ -339,11 +341,23 @@ def test_a_session_with_a_cause_is_said_first_and_not_covered_by_parameters_that
     wrong = table["hypothesis"] != PLAIN
     table.loc[wrong & (table["session"] == table["session"].iloc[-1]), "log_evidence"] += 1e3
     names = _scalars(fitted)
-    first, *others = _verdict(fitted, table, _best(table), names)
+    first, *others = _verdict(fitted, table, most_probable(table), names)
     (name,) = set(table["hypothesis"][wrong])
     assert first.startswith(f"Most probable is {name} in ")
     assert "(> 99 %): look at it with coilcal diagnose." in first
     assert not any(sentence.startswith("Every parameter agrees") for sentence in others)
+
+
+def test_fits_whose_intervals_may_be_false_are_told(fitted, monkeypatch):
+    assert fitted.cautions() == ["not judged (3 of 3): no posterior was sampled"]
+    table = fitted.table()
+    table["verdict"] = [
+        "good" if session == table["session"][0] else "suspect" for session in table["session"]
+    ]
+    monkeypatch.setattr(BatchResult, "table", lambda self: table)
+    (caution,) = fitted.cautions()
+    assert caution.startswith("suspect (2 of 3): intervals hold only if nothing is wrong")
+    assert caution[1:] in html.unescape(overview(fitted, "coilcal batch"))
 
 
 def test_table_is_written_with_all_digits(fitted, tmp_path):

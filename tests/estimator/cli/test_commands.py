@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 import shutil
+from dataclasses import replace
 from importlib.metadata import version
 from pathlib import Path
 
@@ -153,6 +154,21 @@ def test_predict_writes_field_and_intervals_of_the_calibration(workspace, result
         assert float(row["Bz_upper_T"]) == pytest.approx(high[2].item(), rel=1e-6)
 
 
+def test_what_is_handed_on_of_a_suspect_calibration_says_so(workspace, tmp_path):
+    """Its intervals may lie ten of their widths from the truth, and whoever gets them may never have seen its verdict."""
+    good, suspect = workspace / "calibration", tmp_path / "suspect"
+    calibration = Calibration.load(good)
+    quality = {"verdict": "suspect", "reasons": ["halves of the session disagree."], "next": ""}
+    replace(calibration, summary_json={**calibration.summary_json, "quality": quality}).save(suspect)
+    for folder, is_told in ((good, False), (suspect, True)):
+        points = ("--grid", "x_mm=0", "--current", "coil1=1", "--out", tmp_path / f"{folder.name}.csv")
+        said = run("predict", folder, *points).stdout
+        header = tmp_path / f"{folder.name}.hpp"
+        run("export", folder, "--to", "cpp", "--out", header)
+        words = "suspect: halves of the session disagree. Intervals hold only if nothing is wrong."
+        assert (words in said) is (f"the calibration is {words}" in header.read_text()) is is_told
+
+
 def test_predict_leaves_cells_empty_inside_the_winding(workspace, tmp_path):
     best = Calibration.load(workspace / "calibration").best
     inside = [
@@ -178,6 +194,7 @@ def test_predict_takes_motion_and_level(workspace, tmp_path):
             "file": str(tmp_path / "f.csv"),
             "points": 1,
             "inside_winding": 0,
+            "caution": "",
             "level": level,
         }
         (row,) = rows(tmp_path / "f.csv")

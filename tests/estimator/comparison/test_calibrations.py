@@ -75,6 +75,14 @@ def test_a_calibration_does_not_differ_from_itself(small_calibration):
     assert compared.planes[0].at_readings.rms_T_per_A == 0.0
     assert "No number differs" in sentences(compared)[1]
     assert "same readings" in sentences(compared)[2]
+    quality = {"verdict": "suspect", "reasons": ["halves disagree."], "next": ""}
+    first, second = compared.calibrations
+    doubtful = replace(second, summary_json={**second.summary_json, "quality": quality})
+    told = sentences(replace(compared, calibrations=(first, doubtful)))
+    assert told == [
+        *sentences(compared),
+        f"{compared.names[1]} is suspect: halves disagree. Intervals hold only if nothing is wrong.",
+    ]
     side_by_side_report(compared, "")
 
 

@@ -48,7 +48,9 @@ def test_the_field_of_the_room_is_fitted_where_the_rig_file_does_not_mention_it(
     """As `calibrate` does; taken for noise, it put the noise ten standard deviations off and raised alarms."""
     hidden = draw_session(92000, "background_field", 30.0, "recommended")
     hidden.write(tmp_path)
-    readings = read_readings_csv(tmp_path / "readings.csv", rig := load_rig(tmp_path / "rig.yaml")).observations
+    readings = read_readings_csv(
+        tmp_path / "readings.csv", rig := load_rig(tmp_path / "rig.yaml")
+    ).observations
     stream = Stream(rig)
     for rows in torch.arange(len(readings)).split(20):
         last = stream.update(readings.rows(rows))
