@@ -181,18 +181,23 @@ def with_posterior(
 
 
 def doubts(result: Diagnosis) -> list[str]:
-    """What the extended rig takes for granted, of its causes that are not sure, and what its predictions are without."""
+    """What the extended rig takes for granted, what its predictions are without, and that it does not explain all."""
     words = [
         f"it holds only if {sized.name} is what is wrong ({probability(sized.probability)})."
         for sized in result.sized_causes
         if sized.probability < policy.STATED
     ]
+    if stand_ins := result.findings.stand_ins:
+        names = ", ".join(map(result.label, stand_ins))
+        words.append(f"it has {names}, which the readings are not sure enough of to state.")
     correction = result.fits.correction
     if correction is not None and correction.is_taken:
         of_readings = [part for part in correction.parts if not part.is_predicted]
         if of_readings:
             names = told_together(of_readings, result.label)
             words.append(f"it follows readings with {names}, which no prediction has.")
+    if result.verdict.leaves_something:
+        words.append("the diagnosis found that something is wrong which this rig does not have.")
     return words
 
 

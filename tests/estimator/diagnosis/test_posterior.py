@@ -6,6 +6,7 @@ import re
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import pytest
 import torch
@@ -105,15 +106,37 @@ def test_a_rig_with_a_doubtful_cause_gives_no_good_calibration(small_calibration
     assert twice["reasons"] == [words, words[0].upper() + words[1:]]
 
 
+def outcome(**parts: Any) -> Any:
+    """As much of a diagnosis as doubts are read from; by default nothing is doubted."""
+    usual: dict[str, Any] = {
+        "sized_causes": (),
+        "findings": SimpleNamespace(stand_ins=()),
+        "fits": SimpleNamespace(correction=None),
+        "verdict": SimpleNamespace(leaves_something=False),
+        "label": lambda cause: cause.name,
+    }
+    return SimpleNamespace(**{**usual, **parts})
+
+
 @pytest.mark.whole
 @pytest.mark.parametrize("is_predicted", [False, True])
 def test_a_calibration_that_follows_readings_as_no_prediction_does_is_not_good(is_predicted):
     curves = Part(Cause("axis_curves", "hall"), 8, 24, 50.0, 0.99, "to degree 8", is_predicted)
     correction = Correction(SimpleNamespace(), (curves,), {}, "", SimpleNamespace())
-    result = SimpleNamespace(
-        sized_causes=(), fits=SimpleNamespace(correction=correction), label=lambda cause: cause.name
-    )
     told = (
         [] if is_predicted else ["it follows readings with axis_curves to degree 8, which no prediction has."]
     )
-    assert doubts(result) == told
+    assert doubts(outcome(fits=SimpleNamespace(correction=correction))) == told
+
+
+@pytest.mark.whole
+def test_a_calibration_of_what_is_not_sure_or_not_all_is_not_good():
+    """Session 494063 of `make truthful`: gains stood for iron that nothing named, and the calibration beside `unexplained` was good."""
+    gain = SimpleNamespace(stand_ins=(Cause("axis_gain", "hall"),))
+    assert doubts(outcome()) == []
+    assert doubts(outcome(findings=gain)) == [
+        "it has axis_gain, which the readings are not sure enough of to state."
+    ]
+    assert doubts(outcome(verdict=SimpleNamespace(leaves_something=True))) == [
+        "the diagnosis found that something is wrong which this rig does not have."
+    ]
