@@ -171,7 +171,8 @@ def check_versions(registry: Registry) -> None:
     """Make every version current again, undamaged, the last time the one that is current now."""
     current = registry.current
     assert current is not None
-    for version in (*registry.versions, current):
+    others = [version for version in registry.versions if version != current]
+    for version in (*others, current) if others else ():
         with registry.writing():
             registry.roll_back(version)
         if (
