@@ -20,6 +20,7 @@ from estimator.diagnosis.next_readings.stops import best_to_shrink, best_to_spli
 from estimator.diagnosis.progress import OnCount, uncounted
 from estimator.effects import EFFECTS
 from estimator.effects.attach import with_effect
+from estimator.effects.everywhere import with_everywhere
 from estimator.errors import InvalidInput, closest
 from estimator.model.hide import cause_of
 from estimator.model.measurement_model import MeasurementModel
@@ -109,6 +110,8 @@ def design(
     session.check_rig(rig)
     check_readings(rig, session.observations, session.source)
     observations = session.observations.calibration
+    if not split:  # standard deviations are to be those of a calibration
+        rig = with_everywhere(rig, observations).rig
     on_count(FITTING, 0, 1 + len(split))
     base = fit_rig(rig, observations, {}, MeasurementModel.build(rig, observations).rules, effort.MORE_STARTS)
     programmes: list[Proposal] = []

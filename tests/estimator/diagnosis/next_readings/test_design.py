@@ -65,6 +65,15 @@ def test_the_standard_deviation_foretold_is_that_of_a_fit_to_the_stops(tmp_path)
     assert Session(RIG, both, "both").observations.time_s.max() > 1e4
 
 
+def test_a_field_of_the_room_that_a_calibration_fits_is_not_taken_for_noise():
+    earth = (("background_field.x_T", 60e-6), ("background_field.z_T", 60e-6))
+    without, beside = (
+        design(session_with(hidden, (3.0, 1.5), 1), shrink="coil1.radius_m", n_readings=3)
+        for hidden in ((), earth)
+    )
+    assert [beside.so_far, *beside.reached] == pytest.approx([without.so_far, *without.reached], rel=0.1)
+
+
 @pytest.mark.parametrize(
     ("goals", "words"),
     [
