@@ -118,6 +118,12 @@ def _text(planned: Planned, out: Path | None) -> str:
             if needed
             else "not all goals are reached; give more --stops"
         )
+    if planned.not_told:
+        names = listed(planned.not_told, len(planned.not_told))
+        lines.append(
+            f"these currents do not tell {names} from the coils, and half-widths hold only where they are not there: the Earth's field is "
+            "25 to 65 µT; add places without current, or currents of both signs"
+        )
     if planned.unknown:
         shown = displays(list(planned.unknown))
         most_first = sorted(planned.unknown.items(), key=lambda item: -item[1])[:MOST_UNKNOWN]

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 
 from estimator.acquisition.pace import Pace, default_pace
 from estimator.diagnosis.next_readings.stops import CHOOSING
 from estimator.diagnosis.progress import OnCount, uncounted
+from estimator.effects.everywhere import with_everywhere
 from estimator.errors import InvalidInput
 from estimator.planning.candidates import clear_candidates, fitted_rig, largest_currents_A
 from estimator.planning.design import Design
@@ -59,7 +61,7 @@ def plan(
     if n_stops is None and not goals:
         raise InvalidInput("a plan must be given a number of stops or a goal; received neither")
     pace = pace or default_pace(rig, places.settle_s)
-    stops = clear_candidates(places, rig, seed)
+    stops, described = clear_candidates(places, rig, seed), rig
     rig = fitted_rig(rig, stops, goals)
     parsed = [goal_of(text, rig, largest_currents_A(rig, stops)) for text in goals]
     expected = Expected.of(rig, stops, parsed, draws_of_prior(rig, N_DRAWS, seed))
@@ -67,7 +69,9 @@ def plan(
     design = Design(expected)
     on_count(CHOOSING, 0, n_stops or MOST_STOPS)
     visits = Visits(design, stops, parsed, rig, pace, seed)
-    return visits.planned(order, *_grow(design, n_stops, visits.n_settings_off, on_count))
+    planned = visits.planned(order, *_grow(design, n_stops, visits.n_settings_off, on_count))
+    missing = with_everywhere(described, planned.stops.calibration).missing
+    return replace(planned, not_told=tuple(cause.label for cause in missing if cause not in rig.acting))
 
 
 def _grow(design: Design, n_stops: int | None, n_off: int, on_count: OnCount) -> tuple[int, int, int]:

@@ -40,6 +40,8 @@ class Planned:
         random_duration_s: Of the whole measurement in random order.
         unknown: Free parameters that it leaves with more than half of their prior's width, and the share that they keep.
         text: The plan file.
+        not_told: What no laboratory is without and the rig does not mention, which the currents of the stops cannot tell from the fields
+            of the coils: the expected half-widths hold only where it is not there.
     """
 
     goals: tuple[str, ...]
@@ -50,6 +52,7 @@ class Planned:
     random_duration_s: float
     unknown: Mapping[str, float]
     text: str
+    not_told: tuple[str, ...] = ()
 
     @property
     def duration_s(self) -> float:
@@ -73,6 +76,7 @@ class Planned:
             "duration_s": self.duration_s,
             "random_duration_s": self.random_duration_s,
             "unknown": dict(self.unknown),
+            "not_told": list(self.not_told),
         }
 
 

@@ -51,6 +51,14 @@ def test_the_file_is_read_as_it_was_planned(planned, small_rig):
     torch.testing.assert_close(readings.motion["arm1"], planned.stops.motion["arm1"], rtol=0.0, atol=1e-7)
 
 
+def test_what_a_calibration_of_the_stops_cannot_tell_from_the_coils_is_named(planned, small_rig, small_plan):
+    """With the Earth's field and one current, 1 of 12 promised half-widths held the error; with both signs 10."""
+    one_current = replace(small_plan, currents_A=({"coil1": 3.0},))
+    names = ("background_field[room]", "sensor_offset[hall]")
+    assert plan(small_rig, one_current, [GOAL], n_stops=20).not_told == names
+    assert planned.not_told == ()
+
+
 def test_held_out_stops_are_none_of_the_fit(planned):
     key = torch.cat((planned.stops.current_A, planned.stops.motion["arm1"]), dim=1)
     held_out, fitted = key[planned.stops.is_validation], key[~planned.stops.is_validation]
