@@ -6,8 +6,8 @@ have been mounted anew. The diagnosis names what no refit within these priors ca
 A posterior determines the field of a winding far better than its radius or its loops. Independent priors as wide as its intervals would
 leave the field free by per cents, and a sagging supply would pass for a winding with half a loop less; narrower ones would state a radius
 as if it were known. So the parameters have one prior together: the mean and covariance of the posterior in the coordinates of a fit, in
-which it is close to normal, with the variance of what may have changed. Amplitudes of coils without a winding, of which there may be
-hundreds, keep priors of their own, as wide as the others leave each open.
+which it is close to normal, with the variance of what may have changed. Amplitudes of coils without a winding and of corrections, of which
+there may be hundreds, keep priors of their own, as wide as the others leave each open.
 
 References: Bishop, Pattern Recognition and Machine Learning (2006), section 10.1.2 (factorised normals have the inverse of the precision's
 diagonal for variances).
@@ -46,8 +46,10 @@ def widened_rig(calibration: Calibration, described: Rig) -> Rig:
         calibration: The current version.
         described: The rig as the user describes it, with the first priors; causes found later keep those of their rig.
     """
-    rig, alone = calibration.rig, free_amplitudes(calibration.rig)
+    rig = calibration.rig
     coordinates = Coordinates(rig)
+    labels = tuple(f"{correction.label}." for correction in rig.corrections)
+    alone = [*free_amplitudes(rig), *(name for name in coordinates.names if name.startswith(labels))]
     draws = {name: torch.tensor(calibration.draws[name].ravel()) for name in coordinates.names}
     mean = coordinates.values(coordinates.vector(draws).mean(0))
     left_sd = {name: float(draw.std()) for name, draw in draws.items()} | _left_sd(calibration, alone)
