@@ -142,17 +142,16 @@ class Answer:
         own = [i for i, each in enumerate(items) if each.cause in alternatives]
         rest = [i for i in asked.leading if items[i].cause not in alternatives]
         names = [i for i in rest if items[i].is_listed]
-        strongest = max((self._evidence(i, [*rest, item]) for i in names), default=0.0)
+        evidence = self._evidence_of([*rest, item])
         relative = evidence_of_relatives(asked, item)
         shortage = max(self._expected(own) - self._in_halves(own), 0.0) if self.in_halves else 0.0
-        return Standing(
-            self._evidence(item, rest), strongest, relative, len(names), items[item].is_chosen, shortage
-        )
+        strongest = max((evidence[i] for i in names), default=0.0)
+        return Standing(evidence[item], strongest, relative, len(names), items[item].is_chosen, shortage)
 
-    def _evidence(self, item: int, leading: Sequence[int]) -> float:
-        """Log Bayes factor of an item beside others."""
-        others = [i for i in leading if i != item]
-        return self.asked.slots.products.gain(item, others, self.asked.noise)
+    def _evidence_of(self, chosen: Sequence[int]) -> dict[int, float]:
+        """Log Bayes factor of each of some items beside the others."""
+        gains = self.asked.slots.products.gains(chosen, self.asked.noise)
+        return dict(zip(chosen, gains, strict=True))
 
     def _expected(self, own: Sequence[int]) -> float:
         """Probability that halves are expected to give items of a set; as if they were sure of it where none were asked."""
@@ -166,8 +165,8 @@ class Answer:
     @cached_property
     def evidence_of_names(self) -> list[float]:
         """Log Bayes factor of each listed cause that leads, beside all else."""
-        leading = self.asked.leading
-        return [self._evidence(i, leading) for i in leading if self.asked.dictionary.items[i].is_listed]
+        evidence, items = self._evidence_of(self.asked.leading), self.asked.dictionary.items
+        return [value for i, value in evidence.items() if items[i].is_listed]
 
     @cached_property
     def is_full(self) -> bool:
@@ -192,11 +191,15 @@ class Answer:
 
     def _outweighs_the_rest(self, entry: Found) -> bool:
         """Whether a set has more than twice the evidence that any item has beside all slots: what is not asked for could imitate less."""
-        asked = self.asked
-        most = float(asked.slots.products.beside(asked.leading, asked.noise).max())
         listed = [possibility.cause for possibility in entry.possibilities if possibility.is_listed]
         own = self.beside_item(self.item_of(entry.first_listed), listed).log_bayes_factor(listed)
-        return own > policy.OUTWEIGHS * most
+        return own > policy.OUTWEIGHS * self._most_beside_all
+
+    @cached_property
+    def _most_beside_all(self) -> float:
+        """Highest log Bayes factor of an item beside all slots."""
+        asked = self.asked
+        return float(asked.slots.evidence(asked.leading, asked.noise_number).max())
 
     @cached_property
     def _by_rival(self) -> dict[Cause, Rival]:

@@ -49,7 +49,7 @@ class Comparison:
 
     @cached_property
     def _log_bayes_factors(self) -> Float[Tensor, " item"]:
-        return self.asked.slots.products.beside(self.beside, self.asked.noise)
+        return self.asked.slots.evidence(self.beside, self.asked.noise_number)
 
     @cached_property
     def hypotheses(self) -> tuple[Hypothesis, ...]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from copy import copy
 
 import numpy as np
@@ -11,10 +11,17 @@ from jaxtyping import Float
 from torch import Tensor
 
 from estimator.diagnosis.linear import Projector
-from estimator.diagnosis.mixture.evidence_kernel import RIDGE, fill_blocks, log_bayes_factors
+from estimator.diagnosis.mixture.evidence_kernel import (
+    RIDGE,
+    fill_blocks,
+    log_bayes_factors,
+    subtract_from_blocks,
+)
 from estimator.diagnosis.mixture.items import Dictionary, Item, renumbered
 from estimator.inference.positive_definite import inner_products, lower_factor
 
+# Share of the columns of all chosen items up to which an exchange takes less time than all anew, and how often in turn: each adds rounding
+MOST_EXCHANGED, MOST_EXCHANGES = 0.5, 30
 UNDECIDED = 1e-4  # share of a direction from which on readings, or its prior, decide it alone
 
 
@@ -102,11 +109,6 @@ class Products:
         """Log Bayes factor of each item beside some others, against these alone."""
         return Beside(self, chosen, noise).evidence()
 
-    def gain(self, item: int, others: Sequence[int], noise: float) -> float:
-        """Log Bayes factor of an item beside some others, against these alone."""
-        beside = Beside(self.among([*others, item]), range(len(others)), noise)
-        return float(beside.evidence()[-1])
-
     def gains(self, chosen: Sequence[int], noise: float) -> list[float]:
         """Log Bayes factor of each of some items beside the others, against these alone."""
         beside = Beside(self.among(chosen), range(len(chosen)), noise)
@@ -154,13 +156,14 @@ class Beside:
     """All items beside some that are there, or beside all but one of these.
 
     Without one of them, all that it alone followed of a column is free again: a product of as many rows as it has columns, instead of
-    one more system of all columns.
+    one more system of all columns. So are items exchanged for a few others.
 
     Args:
         products: Of all items.
         chosen: Numbers of those that are there.
         noise: Factor on the noise of the fit.
         signal: Combination of columns that stands for the residual, where something else than what was measured is asked about.
+        before: All items beside others, at the same noise.
     """
 
     def __init__(
@@ -169,22 +172,36 @@ class Beside:
         chosen: Sequence[int],
         noise: float,
         signal: Float[Tensor, " column"] | None = None,
+        before: Beside | None = None,
     ) -> None:
         self.products, self.chosen, self.precision = products, tuple(chosen), 1.0 / noise**2
         columns, widths, self.mixture = products.of(chosen)
         if signal is not None:
             self.mixture = self.mixture + signal
             self.mixture[products.residual] = 0.0
-        gram = products.gram
-        own = gram[columns][:, columns] * widths[:, None] * widths * self.precision
-        self.factor = lower_factor(_with_unit_prior(own))
-        scaled = gram[columns] * (widths * self.precision)[:, None]
-        self.followed = torch.linalg.solve_triangular(self.factor, scaled, upper=False)
+        self.scaled = products.gram[columns] * (widths * self.precision)[:, None]
+        self.factor = lower_factor(_with_unit_prior(self.scaled[:, columns] * widths))
         self.score = self._rest(self.mixture)
-        self.blocks = np.empty(products.n_in_blocks)
-        rows = self.followed.T.contiguous().numpy()
-        layout = products.begin, products.columns, products.first
-        fill_blocks(gram.numpy(), rows, self.precision, *layout, self.blocks)
+        self.n_exchanges, self.blocks = 0, np.empty(products.n_in_blocks)
+        if before is not None and before.n_exchanges < MOST_EXCHANGES:
+            gone, new = set(before.chosen).difference(chosen), set(chosen).difference(before.chosen)
+            n_exchanged = sum(len(products.items[i].columns) for i in gone | new)
+            if n_exchanged < MOST_EXCHANGED * len(columns):
+                self.n_exchanges, self.blocks = before.n_exchanges + 1, before.blocks.copy()
+                self._subtract(before._freed(gone), -1.0)
+                self._subtract(self._freed(new), 1.0)
+        if self.n_exchanges == 0:
+            fill_blocks(products.gram.numpy(), self.precision, *self._layout, self.blocks)
+            self._subtract(torch.linalg.solve_triangular(self.factor, self.scaled, upper=False), 1.0)
+
+    @property
+    def _layout(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        return self.products.begin, self.products.columns, self.products.first
+
+    def _subtract(self, rows: Float[Tensor, "row column"], sign: float) -> None:
+        """Subtract from the inner products what is followed along some directions, or add it again."""
+        if len(rows):
+            subtract_from_blocks(rows.T.contiguous().numpy(), sign, *self._layout, self.blocks)
 
     def evidence(self, without: int | None = None) -> Float[Tensor, " item"]:
         """Log Bayes factor of each item beside the others, against these alone.
@@ -193,9 +210,8 @@ class Beside:
             without: Number of one of the chosen items that is not there; all are by default.
         """
         products, score = self.products, self.score
-        freed = score.new_zeros(0, len(score))
+        freed = self._freed(() if without is None else (without,))
         if without is not None:
-            freed = self._freed(without)
             start = torch.zeros_like(score)
             start[products.start_of(without)] = 1.0
             score = score + self._rest(start) + (freed @ (self.mixture + start)) @ freed
@@ -218,17 +234,19 @@ class Beside:
         of_it = mixture.nonzero()[:, 0]
         own = mixture[of_it]
         whole = own @ self.products.gram[of_it] * self.precision
-        return whole - (self.followed[:, of_it] @ own) @ self.followed
+        followed = torch.cholesky_solve((self.scaled[:, of_it] @ own)[:, None], self.factor)
+        return whole - followed[:, 0] @ self.scaled
 
-    def _freed(self, without: int) -> Float[Tensor, "own column"]:
-        """What one of the chosen items alone follows of each column, along orthonormal directions."""
-        items = self.products.items
-        first = sum(len(items[i].columns) for i in self.chosen[: self.chosen.index(without)])
-        unit = self.factor.new_zeros(len(self.factor), len(items[without].columns))
-        unit[first : first + unit.shape[1]].fill_diagonal_(1.0)
-        inverse = torch.linalg.solve_triangular(self.factor, unit, upper=False)
-        factor = lower_factor(inverse.T @ inverse)
-        return torch.linalg.solve_triangular(factor, inverse.T @ self.followed, upper=False)
+    def _freed(self, items: Collection[int]) -> Float[Tensor, "own column"]:
+        """What some of the chosen items alone follow of each column, along orthonormal directions."""
+        sizes = [len(self.products.items[i].columns) for i in self.chosen]
+        is_own = np.repeat([i in items for i in self.chosen], sizes)
+        own = torch.from_numpy(np.flatnonzero(is_own))
+        unit = self.factor.new_zeros(len(self.factor), len(own))
+        unit[own, torch.arange(len(own))] = 1.0
+        inverse = torch.cholesky_solve(unit, self.factor)
+        rows = inverse.T @ self.scaled
+        return torch.linalg.solve_triangular(lower_factor(inverse[own]), rows, upper=False)
 
 
 def _with_unit_prior(gram: Float[Tensor, "*batch column column"]) -> Float[Tensor, "*batch column column"]:

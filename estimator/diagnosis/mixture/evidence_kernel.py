@@ -72,12 +72,11 @@ def _log_bayes_factor(rest, own, widths, is_one_sided, factor, reached):  # type
 
 
 @compiled
-def fill_blocks(gram, followed, precision, begin, columns, first, blocks):  # type: ignore[no-untyped-def]
-    """Inner products of the columns of each item, less what others follow of them.
+def fill_blocks(gram, precision, begin, columns, first, blocks):  # type: ignore[no-untyped-def]
+    """Inner products of the columns of each item.
 
     Args:
         gram: Inner products of all columns, in units of the fitted noise.
-        followed: By column, what the others follow of it along orthonormal directions.
         precision: Inverse square of the factor on the noise.
         begin: First of the columns of each item, and last their number.
         columns: Numbers of the columns of all items, one after the other; of each, its start is the last.
@@ -93,7 +92,24 @@ def fill_blocks(gram, followed, precision, begin, columns, first, blocks):  # ty
         for a in range(n):
             for b in range(a + 1):
                 block[a, b] = gram[chosen[a], chosen[b]] * precision
-        _subtract(block, followed, chosen, 1.0)
+
+
+@compiled
+def subtract_from_blocks(rows, sign, begin, columns, first, blocks):  # type: ignore[no-untyped-def]
+    """Subtract from such inner products what others follow of the columns, or add it again.
+
+    Args:
+        rows: By column, what is followed of it along orthonormal directions.
+        sign: 1 to subtract, -1 to add.
+        begin, columns, first: As in `fill_blocks`.
+        blocks: Their lower triangles are changed.
+    """
+    for i in range(len(first)):
+        if i > 0 and first[i] == first[i - 1]:
+            continue
+        chosen = columns[begin[i] : begin[i + 1]]
+        n = len(chosen)
+        _subtract(blocks[first[i] : first[i] + n * n].reshape(n, n), rows, chosen, sign)
 
 
 @compiled

@@ -195,7 +195,7 @@ class Slots:
         """
         rest = tuple(sorted(i for i in chosen if i != without))
         if (rest, noise) not in self._known:
-            evidence = self._beside(chosen, noise).evidence(without) + self.log_prior
+            evidence = self.evidence(chosen, noise, without) + self.log_prior
             both = torch.cat((evidence, evidence.new_tensor([math.log(policy.p_empty())])))
             both[torch.from_numpy(self._cannot_stand_beside(rest))] = -math.inf
             self._known[rest, noise] = torch.softmax(both, 0).numpy()
@@ -209,12 +209,23 @@ class Slots:
         others = ~np.isin(self.name, wanted) if len(wanted) else np.zeros(len(self.name), dtype=bool)
         return np.append(np.isin(self.name, there) | lacks | others, len(wanted) > 0)
 
-    def _beside(self, chosen: Sequence[int], noise: int) -> Beside:
-        """Some items together; the last ones are remembered, for slots are asked one after another."""
-        key = tuple(sorted(chosen)), noise
-        if self._last is None or self._last[0] != key:
-            self._last = key, Beside(self.products, key[0], float(self.grid[noise]))
-        return self._last[1]
+    def evidence(
+        self, chosen: Sequence[int], noise: int, without: int | None = None
+    ) -> Float[Tensor, " item"]:
+        """Log Bayes factor of each item beside some that are there, against these alone.
+
+        Args:
+            chosen: Numbers of those that are there.
+            noise: Number of the factor on the noise.
+            without: One of them that is not there.
+        """
+        key, last = (tuple(sorted(chosen)), noise), self._last
+        if (
+            last is None or last[0] != key
+        ):  # the last ones are remembered, for slots are asked one after another
+            before = last[1] if last is not None and last[0][1] == noise else None
+            last = self._last = key, Beside(self.products, key[0], float(self.grid[noise]), before=before)
+        return last[1].evidence(without)
 
     def noise_of(self, chosen: Sequence[int]) -> np.ndarray:
         """Probability of each factor on the noise, given the items."""

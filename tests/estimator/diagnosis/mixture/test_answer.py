@@ -46,7 +46,7 @@ def answered(
     more = SimpleNamespace(
         conditional=lambda chosen, noise: np.array([0.9, 0.1])
     )  # one more item is probable
-    products = SimpleNamespace(gain=lambda item, others, noise: evidence)
+    products = SimpleNamespace(gains=lambda chosen, noise: [evidence] * len(chosen))
     grid = torch.ones(1)
     slots = SimpleNamespace(n_slots=n_slots, conditional=more.conditional, products=products, grid=grid)
     asked.__dict__.update(dictionary=dictionary(ITEMS), samples=with_all, leading=leading, slots=slots)
@@ -141,7 +141,7 @@ def test_where_all_slots_are_full_a_cause_must_outweigh_what_any_further_item_co
     further, monkeypatch
 ):
     made = answered(samples(MODELS, BOTH), n_slots=2)
-    made.asked.slots.products.beside = lambda chosen, noise: torch.tensor([0.0, further])
+    made.asked.slots.evidence = lambda chosen, noise: torch.tensor([0.0, further])
     comparison = SimpleNamespace(log_bayes_factor=lambda causes: 100.0)
     monkeypatch.setattr(Answer, "beside_item", lambda self, item, taken: comparison)
     assert made.is_full

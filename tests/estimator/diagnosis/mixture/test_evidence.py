@@ -122,3 +122,13 @@ def test_what_cannot_be_negative_has_the_evidence_of_a_half_normal_prior(size, s
     beside = Products(made).beside([0], noise)
     assert float(beside[2]) == pytest.approx(expected, abs=1e-3)
     assert float(beside[1]) != pytest.approx(float(beside[2]), abs=0.1)
+
+
+@pytest.mark.parametrize("chosen", [[0, 2], [0, 2, 3, 10], [1, 2, 3]])
+def test_items_exchanged_for_others_leave_what_all_anew_leave(chosen):
+    products = Products(dictionary(ITEMS))
+    before = Beside(products, [0, 2, 3], 0.8)
+    exchanged, anew = Beside(products, chosen, 0.8, before=before), Beside(products, chosen, 0.8)
+    assert (exchanged.n_exchanges, anew.n_exchanges) == (1, 0)
+    torch.testing.assert_close(exchanged.evidence(), anew.evidence(), rtol=1e-9, atol=1e-9)
+    torch.testing.assert_close(exchanged.evidence(chosen[1]), anew.evidence(chosen[1]), rtol=1e-9, atol=1e-9)
