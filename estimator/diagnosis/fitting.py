@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -23,7 +23,7 @@ from estimator.effects.circumstances import Circumstances
 from estimator.effects.use import Use
 from estimator.field.winding_shape import Rule
 from estimator.inference.laplace import log_evidence
-from estimator.inference.levenberg_marquardt import Optimum, prior_gradient
+from estimator.inference.levenberg_marquardt import Optimum, prior_gradient, prior_gradient_and_precision
 from estimator.inference.likelihood import FirstOrder, LogPosterior
 from estimator.inference.positive_definite import inverse, solve
 from estimator.model.measurement_model import MeasurementModel
@@ -81,6 +81,21 @@ class Fit:
         normalisers = sum(_log_normaliser(p) for p in _of_effects(self.rig))
         return float(log_evidence(self.optimum)[0]) + normalisers + self._log_share_inside
 
+    def foretold(self, rig: Rig) -> Fit:
+        """The fit of a rig that differs in its priors alone, to second order about this maximum.
+
+        Args:
+            rig: With the same parameters.
+        """
+        posterior = LogPosterior.by_rules(Coordinates(rig), self.observations, self.posterior.model.rules)
+        coordinates, vector = posterior.coordinates, self.optimum.vector
+        of_prior, prior_precision = prior_gradient_and_precision(coordinates, vector)
+        precision = self.optimum.information + prior_precision
+        gradient = self.posterior.gradient(self.vector) + of_prior[0]
+        before, after = (each.log_prior(vector) for each in (self.posterior.coordinates, coordinates))
+        value = self.optimum.log_posterior + after - before + 0.5 * gradient @ solve(precision[0], gradient)
+        return Fit(posterior, replace(self.optimum, log_posterior=value, precision=precision))
+
     @property
     def _log_share_inside(self) -> float:
         """Log share of Laplace's normal law that lies inside the bounds of the effects' priors, one coordinate at a time.
@@ -104,6 +119,12 @@ class Fit:
         """Every number of the rig at the maximum."""
         with torch.no_grad():
             return self.posterior.coordinates.values(self.vector)
+
+    @property
+    def noises(self) -> dict[str, Tensor]:
+        """Fitted noise of every sensor, by parameter."""
+        names = [f"{sensor.name}.noise_T" for sensor in self.rig.sensors]
+        return {name: self.values[name] for name in names}
 
     @cached_property
     def predicted_T(self) -> Float[Tensor, " component"]:

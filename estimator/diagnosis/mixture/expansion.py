@@ -224,7 +224,7 @@ class Expansion:
         fit, more = with_tails(
             fit,
             listed.keys() - known.keys(),
-            lambda more: fit_rig(self._with(listed, known | more), cleaned, fit.values, rules),
+            lambda more: self._with(listed, known | more),
         )
         return Expansion(self.plain, fit, departed_T, log_prior, known | more)
 
@@ -262,7 +262,7 @@ class Expansion:
 
 
 def with_tails(
-    fit: Fit, causes: Collection[Cause], again: Callable[[dict[Cause, float]], Fit]
+    fit: Fit, causes: Collection[Cause], rig_with: Callable[[dict[Cause, float]], Rig]
 ) -> tuple[Fit, dict[Cause, float]]:
     """A fit, or another one with wider priors of large sizes if that is more probable.
 
@@ -271,7 +271,7 @@ def with_tails(
     Args:
         fit: With priors of the stated widths.
         causes: Whose sizes are looked at.
-        again: Fits the same with factors on the widths of some causes.
+        rig_with: The rig with factors on the widths of some causes.
     Returns: The more probable fit, and its factors.
     """
     extent = fit.circumstances.extent
@@ -284,9 +284,11 @@ def with_tails(
     factors = {cause: policy.WIDTHS[-1][0] for cause in causes if is_large(cause)}
     if not factors:
         return fit, {}
-    wide = again(factors)
-    is_likelier = wide.log_evidence + len(factors) * _log_odds_of_widest() > fit.log_evidence
-    return (wide, factors) if is_likelier else (fit, {})
+    rig, least = rig_with(factors), fit.log_evidence - len(factors) * _log_odds_of_widest()
+    if fit.foretold(rig).log_evidence < least - policy.CLEAR_LOG_EVIDENCE:
+        return fit, {}
+    wide = fit_rig(rig, fit.observations, fit.values, fit.posterior.model.rules, near=fit)
+    return (wide, factors) if wide.log_evidence > least else (fit, {})
 
 
 def _log_odds_of_widest() -> float:

@@ -10,7 +10,7 @@ from estimator.diagnosis.mixture.answer import Answer
 from estimator.diagnosis.mixture.expansion import with_tails
 from estimator.effects.attach import with_effect
 from estimator.readings.observations import Observations
-from estimator.rig.rig import Cause
+from estimator.rig.rig import Cause, Rig
 
 
 def leading_fit(answer: Answer) -> Fit:
@@ -48,6 +48,7 @@ def fit_to(
     causes: Sequence[Cause],
     readings: Observations,
     shapes: Mapping[Cause, dict[str, float]] = MappingProxyType({}),
+    tolerance: float | None = None,
 ) -> Fit:
     """The rig as described with some listed causes, fitted to some readings.
 
@@ -56,18 +57,31 @@ def fit_to(
         causes: Beyond those of the rig.
         readings: Of the session, with or without what departures change.
         shapes: Where fits of some causes start; by default at the shapes that are known of them.
+        tolerance: Where a further step raises the log density by less, the fit ends, and no prior is widened.
     """
     plain, known = answer.plain, answer.asked.expansion
 
-    def fitted(more: Mapping[Cause, float]) -> Fit:
+    def rig_with(more: Mapping[Cause, float]) -> Rig:
         rig = plain.rig
         for cause in causes:
             at = shapes.get(cause) or answer.shapes_of(cause)
             factor = {**known.factors, **more}.get(cause, 1.0)
             rig = with_effect(rig, cause, plain.observations, at, factor=factor)
-        return fit_rig(rig, readings, known.fit.values, plain.posterior.model.rules)
+        return rig
 
-    return with_tails(fitted({}), [cause for cause in causes if cause not in known.causes], fitted)[0]
+    has_more_departures = readings is plain.observations and bool(known.departed_T.any())
+    fit = fit_rig(
+        rig_with({}),
+        readings,
+        known.fit.values,
+        plain.posterior.model.rules,
+        tolerance=tolerance,
+        other_start=plain.noises if has_more_departures else None,
+        ends_exact=tolerance is None,
+    )
+    if tolerance is not None:
+        return fit
+    return with_tails(fit, [cause for cause in causes if cause not in known.causes], rig_with)[0]
 
 
 def _departed(answer: Answer) -> tuple[Hashable, ...]:

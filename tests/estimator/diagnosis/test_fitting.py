@@ -66,6 +66,22 @@ def test_evidence_at_a_bound_is_that_of_the_side_where_the_prior_is(small_rig, s
     assert bool((rises.diff() < 0.0).all())  # the density falls from the bound on
 
 
+def test_a_fit_foretells_the_evidence_with_another_prior(small_rig, small_session):
+    """A zero lies many stated widths off; with a prior ten times as wide it is far more probable."""
+    zero, rules = (
+        Cause("sensor_offset", "hall"),
+        fit_of(small_rig, small_session.observations).posterior.model.rules,
+    )
+    readings = with_wrong(
+        small_rig, small_session.observations, zero, {"x_T": 3e-3, "y_T": -2e-3, "z_T": 0.0}
+    )
+    fit = fit_of(small_rig, readings, zero)
+    rig = with_effect(small_rig, zero, readings, {}, factor=10.0)
+    made = fit_rig(rig, readings, fit.values, rules)
+    assert made.log_evidence > fit.log_evidence + 5.0
+    assert fit.foretold(rig).log_evidence == pytest.approx(made.log_evidence, abs=0.1)
+
+
 def test_a_fit_has_nothing_of_a_cause_that_is_not_there(small_rig, small_session):
     zero = Cause("sensor_offset", "hall")
     readings = small_session.observations.calibration
