@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import partial
 
 import numpy as np
 
@@ -26,6 +25,8 @@ from estimator.side_by_side import each
 
 N_PAIRS = 3  # of complementary halves
 IN_HALVES = Sweeps(16, 4)
+# Log evidence by which fits without a cause are so far behind that rough ones tell it, and the tolerance of these
+FAR, FAR_TOLERANCE = 100.0, 0.3
 
 
 def answer(
@@ -111,11 +112,23 @@ def _not_borne_out(answer: Answer) -> Cause | None:
     stated = [entry.first_listed for entry in answer.stated]
     if not stated:
         return None
-    without = [[other for other in stated if other != cause] for cause in stated]
-    fit, *others = each(partial(fit_beside_departures, answer), [stated, *without])
-    rises = {c: fit.log_evidence - other.log_evidence for c, other in zip(stated, others, strict=True)}
+    without = {cause: [other for other in stated if other != cause] for cause in stated}
+    readings = leading_fit(answer).observations
+
+    def with_all_or_roughly(left_out: Cause | None) -> Fit:
+        if left_out is None:
+            return fit_beside_departures(answer, stated)
+        return fit_to(answer, without[left_out], readings, tolerance=FAR_TOLERANCE)
+
+    own, *rough = each(with_all_or_roughly, [None, *(stated if len(stated) > 1 else [])])
+    if rough and all(map(own.still_has, stated)):
+        highest = max(fit.log_evidence for fit in rough)
+        if own.log_evidence - highest > policy.CLEAR_LOG_EVIDENCE + FAR:
+            return None
+    others = each(lambda cause: fit_beside_departures(answer, without[cause]), stated)
+    rises = {c: own.log_evidence - other.log_evidence for c, other in zip(stated, others, strict=True)}
     least = min(rises, key=rises.__getitem__)
-    is_clear = rises[least] > policy.CLEAR_LOG_EVIDENCE and fit.still_has(least)
+    is_clear = rises[least] > policy.CLEAR_LOG_EVIDENCE and own.still_has(least)
     return None if is_clear else least
 
 
