@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import asdict, dataclass, field, replace
+from functools import cached_property, partial
 from typing import Any
 
 import torch
@@ -18,6 +20,7 @@ from estimator.diagnosis import policy
 from estimator.diagnosis.fitting import Fit
 from estimator.diagnosis.predicted_field import PredictedReadings, not_predicted
 from estimator.effects.use import as_meant, is_in_field
+from estimator.inference.directions import Directions
 from estimator.inference.likelihood import LogPosterior
 from estimator.readings.metrics import ErrorMetrics, error_metrics
 from estimator.readings.observations import Observations
@@ -43,7 +46,7 @@ class ValidationScores:
         coverage50, coverage90: Share of the components inside the 50 % and 90 % predictive intervals.
         log_density: Log predictive density of each reading.
         predicted: Errors of the field that `predict` gives, which has nothing that only these readings have.
-        predicted_coverage90: Share of the components inside its 90 % intervals.
+        coverage_of_prediction: Computes the coverage of its intervals.
     """
 
     errors: ErrorMetrics
@@ -52,7 +55,12 @@ class ValidationScores:
     coverage90: float
     log_density: Float[Tensor, " reading"]
     predicted: ErrorMetrics
-    predicted_coverage90: float
+    coverage_of_prediction: Callable[[], float] = field(repr=False, compare=False)
+
+    @cached_property
+    def predicted_coverage90(self) -> float:
+        """Share of the components inside its 90 % intervals; most scores are never asked for it."""
+        return self.coverage_of_prediction()
 
     @property
     def is_of_field(self) -> bool:
@@ -181,11 +189,12 @@ def validation_scores(
     reading = torch.arange(len(unseen), device=unseen.device)[:, None].expand(-1, 3)[unseen.is_measured]
     by_reading = log_density.new_zeros(len(unseen)).index_add(0, reading, log_density)
     coverage = {p: _inside(below, p) for p in (0.5, 0.9)}
-    shown_T, of_prediction = predicted_T, coverage[0.9]
+    shown_T = predicted_T
+    of_prediction = partial(_inside, below, 0.9)
     if fit.rig.acting:
         with torch.no_grad():
             shown_T = PredictedReadings(fit, unseen).shown_T(fit.values)
-        of_prediction = _predicted_coverage90(fit, unseen, covariance, draws)
+        of_prediction = partial(_predicted_coverage90, fit, unseen, covariance, draws)
     is_on = numpy_of((unseen.current_A != 0.0).any(-1))
     errors, predicted = (
         error_metrics(numpy_of(unseen.field_sensor_T), numpy_of(each), is_on)
@@ -217,9 +226,10 @@ def _predicted_coverage90(
         return posterior.measured_components(predicted.shown_T(posterior.coordinates.values(vector)))
 
     if draws is None:
-        changing = _coordinates_of_predictions(fit)
-        each_way = torch.eye(len(fit.vector)).to(fit.vector)[changing]
-        middle_T, slopes = value_and_jacobian(shown, fit.vector, each_way)
+        changing = torch.tensor(_coordinates_of_predictions(fit), device=fit.vector.device)
+        directions = Directions.of(fit.rig, posterior.coordinates).only(changing)
+        middle_T, along = value_and_jacobian(shown, fit.vector, directions.each)
+        slopes = directions.jacobian(along, posterior.sensor)
         variance = _to_first_order(slopes, covariance[changing][:, changing])
         draws = _draws(fit, covariance)
     else:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
@@ -33,7 +34,8 @@ def _without(fit: Fit, cause: Cause, plain: Fit) -> Float[Tensor, "component coo
     rows, nulls = fit.at_null(cause)
     vector = fit.vector.clone()
     vector[rows] = nulls
-    return fit.posterior.to_first_order(vector[None]).jacobian_T[0][:, _shared(fit, plain, fit)]
+    shared = torch.tensor(_shared(fit, plain, fit), device=vector.device)
+    return fit.posterior.to_first_order(vector[None], shared).jacobian_T[0]
 
 
 def _slopes(fit: Fit, first: Fit, second: Fit) -> Float[Tensor, "component coordinate"]:

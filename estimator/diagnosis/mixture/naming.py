@@ -9,6 +9,7 @@ from estimator.diagnosis.mixture.full_fits import fit_with
 from estimator.diagnosis.next_readings.expected_evidence import rows_seen, separation
 from estimator.diagnosis.verdict import Alternative, NamedCause
 from estimator.rig.rig import Cause
+from estimator.side_by_side import each
 
 
 def named_by(answer: Answer) -> list[NamedCause]:
@@ -44,11 +45,9 @@ def _expected(fits: dict[Cause, Fit], truth: Cause, other: Cause) -> float:
 def alternative_fits(answer: Answer, found: Found) -> dict[Cause, Fit]:
     """Fits of the rig with each listed possibility of a set, beside the other stated causes."""
     others = [entry.first_listed for entry in answer.stated if entry != found]
-    return {
-        possibility.cause: fit_with(answer, [*others, possibility.cause])
-        for possibility in found.possibilities
-        if possibility.is_listed
-    }
+    causes = [possibility.cause for possibility in found.possibilities if possibility.is_listed]
+    fits = each(lambda cause: fit_with(answer, [*others, cause]), causes)
+    return dict(zip(causes, fits, strict=True))
 
 
 def fitted_with_stated(answer: Answer) -> Fit:

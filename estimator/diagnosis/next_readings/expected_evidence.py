@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import permutations
 from typing import Any
 
@@ -25,6 +26,7 @@ from estimator.readings.observations import Observations
 from estimator.readings.split import some_distinct
 from estimator.rig.coordinates import Coordinates
 from estimator.rig.rig import Rig
+from estimator.side_by_side import each
 
 N_STOPS = 30  # readings that a proposed programme adds
 
@@ -79,9 +81,8 @@ def proposals(
     seen = rows_seen(hypotheses)
     so_far = separation(hypotheses, seen)
     result = []
-    for action in actions:
-        added = (separation(hypotheses, seen, action) - so_far).min().item()
-        result.append(Proposal(action, tuple(hypotheses), added))
+    for action, reached in zip(actions, each(partial(separation, hypotheses, seen), actions), strict=True):
+        result.append(Proposal(action, tuple(hypotheses), (reached - so_far).min().item()))
         on_count("weighing programmes", len(result), len(actions))
     return sorted(result, key=lambda proposal: -proposal.expected_log_evidence)
 
@@ -161,10 +162,8 @@ class Rows:
     def of(cls, fit: Fit, readings: Observations, rig: Rig) -> Rows:
         """Predictions of a fit for some readings; the rig may differ from that of the fit in fixed numbers."""
         posterior = LogPosterior.by_rules(Coordinates(rig), readings, fit.posterior.model.rules)
-        with torch.no_grad():
-            predicted_T = posterior.predicted(fit.vector)
-            sigma_T = posterior.component_sigma_T(fit.vector)
-        return cls(predicted_T, posterior.jacobian(fit.vector), sigma_T)
+        first_order = posterior.to_first_order(fit.vector)
+        return cls(first_order.predicted_T, first_order.jacobian_T, first_order.sigma_T)
 
 
 def _distance(rival: Fit, true_rows: tuple[Rows, ...], rival_rows: tuple[Rows, ...]) -> Tensor:
