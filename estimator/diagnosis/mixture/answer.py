@@ -23,6 +23,7 @@ from estimator.diagnosis.mixture.slots import Samples
 from estimator.rig.rig import Cause
 
 ASKED = 0.2  # probability of a cause from which on a set is made about it
+ALIKE = 9  # digits of a probability: equally sure causes keep the order of the items, however their last digits are rounded
 
 
 @dataclass(frozen=True)
@@ -67,13 +68,13 @@ class Answer:
         for item, probability in zip(items, present, strict=True):
             by_cause[item.cause] = by_cause.get(item.cause, 0.0) + float(probability)
         result, told = list[Found](), set[Cause]()
-        for cause in sorted(by_cause, key=lambda cause: -by_cause[cause]):
+        for cause in sorted(by_cause, key=lambda cause: -round(by_cause[cause], ALIKE)):
             if by_cause[cause] < ASKED or cause in told:
                 continue
             shares = {other: share for other, share in self._shares(cause).items() if other not in told}
             told |= set(shares)
             result.append(self._found(shares))
-        return tuple(sorted(result, key=lambda entry: -entry.probability))
+        return tuple(sorted(result, key=lambda entry: -round(entry.probability, ALIKE)))
 
     def _shares(self, cause: Cause) -> dict[Cause, float]:
         """What the slot of a cause holds, as shares; the cause itself has one of the largest."""
