@@ -98,7 +98,7 @@ class SoFar:
         settings: One row for each candidate.
         coordinates: Of the rig with ordinary causes.
         own: Which of them, noise apart, are parameters of the fit.
-        is_usual: Which of the others every device has.
+        is_usual: Which of the others every device or laboratory has.
         fit: Of all usable stops that are not held out.
         entries: Of the stops.
         rows: Number of the candidate of each.
@@ -116,7 +116,8 @@ class SoFar:
         self.known = known_coordinates(self.coordinates)
         self.own = torch.isin(self.known, self._place)
         causes = [self.coordinates.names[i].partition("[")[0] for i in self.known[~self.own].tolist()]
-        self.is_usual = torch.tensor([EFFECTS[name].is_in_every_device for name in causes], dtype=torch.bool)
+        usual = (EFFECTS[name].is_in_every_device or EFFECTS[name].is_everywhere for name in causes)
+        self.is_usual = torch.tensor(list(usual), dtype=torch.bool)
         self.restart()
 
     def restart(self) -> None:
