@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import AsyncIterator, Mapping
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, NamedTuple
 
 import torch
 from pydantic import BaseModel, Field
@@ -15,6 +15,7 @@ from starlette.responses import Response, StreamingResponse
 from torch import Tensor
 
 from estimator.calibration import predictions
+from estimator.export.labels import caution_of
 from estimator.service.arrow import ARROW, arrow_stream
 from estimator.service.core import Core
 from estimator.service.predictions import BLOCK
@@ -76,6 +77,9 @@ class GridQuestion(Wish):
 class Prediction(BaseModel):
     """Field and gradient in the world frame; null at points inside a winding. What was not asked for is missing."""
 
+    caution: Annotated[str | None, Field(description="Why the calibration is not good, where it is not.")] = (
+        None
+    )
     field_T: list[Vector] | None = None
     field_lower_T: list[Vector] | None = None
     field_upper_T: list[Vector] | None = None
@@ -95,28 +99,30 @@ class GridPrediction(Prediction):
 @router.post("/{calibration_id}/predict", response_model=Prediction, response_model_exclude_none=True)
 async def predict(core: CoreOf, calibration_id: Id, body: PointsQuestion) -> Response:
     """Field and gradient of the calibrated model at points."""
-    return await _as_json(_blocks(core, calibration_id, _points_of(core, body), body), {})
+    asked = await run_in_threadpool(_asked, core, calibration_id, body)
+    return await _as_json(_blocks(core, asked, _points_of(core, body), body), {}, asked)
 
 
 @router.post("/{calibration_id}/predict.arrow", **ARROW_RESPONSE)
 async def predict_arrow(core: CoreOf, calibration_id: Id, body: PointsQuestion) -> Response:
     """Field and gradient of the calibrated model at points, as an Arrow stream with a row for each point."""
-    return await _as_arrow(_blocks(core, calibration_id, _points_of(core, body), body), calibration_id, body)
+    asked = await run_in_threadpool(_asked, core, calibration_id, body)
+    return await _as_arrow(_blocks(core, asked, _points_of(core, body), body), calibration_id, body, asked)
 
 
 @router.post("/{calibration_id}/grid", response_model=GridPrediction, response_model_exclude_none=True)
 async def predict_grid(core: CoreOf, calibration_id: Id, body: GridQuestion) -> Response:
     """Field and gradient of the calibrated model on a regular grid."""
-    axes = _axes_of(core, body)
-    blocks = _blocks(core, calibration_id, torch.cartesian_prod(*axes.values()), body)
-    return await _as_json(blocks, axes)
+    axes, asked = _axes_of(core, body), await run_in_threadpool(_asked, core, calibration_id, body)
+    return await _as_json(_blocks(core, asked, torch.cartesian_prod(*axes.values()), body), axes, asked)
 
 
 @router.post("/{calibration_id}/grid.arrow", **ARROW_RESPONSE)
 async def predict_grid_arrow(core: CoreOf, calibration_id: Id, body: GridQuestion) -> Response:
     """Field and gradient of the calibrated model on a regular grid, as an Arrow stream with a row for each point."""
     points_m = torch.cartesian_prod(*_axes_of(core, body).values())
-    return await _as_arrow(_blocks(core, calibration_id, points_m, body), calibration_id, body)
+    asked = await run_in_threadpool(_asked, core, calibration_id, body)
+    return await _as_arrow(_blocks(core, asked, points_m, body), calibration_id, body, asked)
 
 
 def _points_of(core: Core, body: PointsQuestion) -> Tensor:
@@ -138,46 +144,54 @@ def _axes_of(core: Core, body: GridQuestion) -> dict[str, Tensor]:
 
 
 async def _blocks(
-    core: Core, calibration_id: str, points_m: Tensor, wish: Wish
+    core: Core, asked: Asked, points_m: Tensor, wish: Wish
 ) -> AsyncIterator[tuple[Tensor, Mapping[str, Tensor]]]:
     """What is predicted at some points after others, so that other questions pass between."""
-    folder = await run_in_threadpool(_checked_folder, core, calibration_id, wish)
     wanted = predictions.Wanted(wish.has_field, wish.has_gradient, wish.has_intervals, wish.is_of_coils_alone)
     motion = {name: torch.tensor(values, dtype=torch.float64) for name, values in wish.motion.items()}
     with core.predictor.limit.taken():
         for block in points_m.split(BLOCK):
             question = predictions.Question(block, wish.currents_A, motion, wish.level)
-            yield block, await core.predictor.ask(folder, question, wanted)
+            yield block, await core.predictor.ask(asked.folder, question, wanted)
 
 
-def _checked_folder(core: Core, calibration_id: str, wish: Wish) -> Path:
-    """Folder of a calibration, which is in memory then, if its rig has what a question names."""
-    folder, calibration = calibration_of(core, calibration_id)[1:]
+class Asked(NamedTuple):
+    """A calibration that is asked: its folder, and why its intervals hold only under a condition; empty where it is good."""
+
+    folder: Path
+    caution: str
+
+
+def _asked(core: Core, calibration_id: str, wish: Wish) -> Asked:
+    """A calibration, which is in memory then, if its rig has what a question names."""
+    _, folder, calibration = calibration_of(core, calibration_id)
     known = [mover.name for mover in calibration.rig.movers]
     for name in wish.motion:
         if name not in known:
             rule = f"must name movers of the rig ({', '.join(known) or 'none'})"
             raise Problem(422, "motion", rule, name, "body")
-    return folder
+    return Asked(folder, caution_of(calibration))
 
 
 async def _as_json(
-    blocks: AsyncIterator[tuple[Tensor, Mapping[str, Tensor]]], axes: Mapping[str, Tensor]
+    blocks: AsyncIterator[tuple[Tensor, Mapping[str, Tensor]]], axes: Mapping[str, Tensor], asked: Asked
 ) -> Response:
     answered = [answer async for _, answer in blocks]
 
     def body() -> bytes:
         joined = {name: torch.cat([answer[name] for answer in answered]) for name in answered[0]}
-        content = {name: values.tolist() for name, values in (*axes.items(), *joined.items())}
+        content: dict[str, Any] = {n: values.tolist() for n, values in (*axes.items(), *joined.items())}
+        content |= {"caution": asked.caution} if asked.caution else {}
         return to_json(content, inf_nan_mode="null")
 
     return Response(await run_in_threadpool(body), media_type=JSON)
 
 
 async def _as_arrow(
-    blocks: AsyncIterator[tuple[Tensor, Mapping[str, Tensor]]], calibration_id: str, wish: Wish
+    blocks: AsyncIterator[tuple[Tensor, Mapping[str, Tensor]]], calibration_id: str, wish: Wish, asked: Asked
 ) -> Response:
     about = {"calibration_id": calibration_id, "level": str(wish.level), "frame": "world"}
+    about |= {"caution": asked.caution} if asked.caution else {}
     pieces = arrow_stream(blocks, about)
     first = await anext(pieces)  # a refusal comes before the answer begins
 

@@ -20,6 +20,7 @@ from starlette.testclient import TestClient
 
 from estimator.calibration.predictions import Question, Wanted
 from estimator.calibration.result import Calibration
+from estimator.diagnosis.posterior import doubted
 from estimator.errors import InvalidInput
 from estimator.export.formats import default_path
 from estimator.export.request import Grid
@@ -90,6 +91,18 @@ def test_a_prediction_has_the_numbers_of_the_python_api(client, small_calibratio
 
 
 @pytest.mark.whole
+def test_a_calibration_that_is_not_good_says_so_beside_its_predictions(
+    idle, small_calibration, rig_text, readings_csv
+):
+    asked = {"points_m": POINTS_M, "currents_A": CURRENTS_A}
+    suspect = idle()
+    keep(suspect, doubted(small_calibration, ["a plate stands beside it."]), rig_text, readings_csv)
+    caution = "suspect: a plate stands beside it. Intervals hold only if nothing is wrong."
+    assert suspect.post(f"{PATH}/predict", json=asked).json()["caution"] == caution
+    told = pa.ipc.open_stream(suspect.post(f"{PATH}/predict.arrow", json=asked).content).schema.metadata
+    assert told[b"caution"].decode() == caution
+
+
 def test_a_correction_and_an_iron_core_are_in_predictions(idle, cored_calibration, rig_text, readings_csv):
     client, points_m = idle(), POINTS_M[:2]
     keep(client, cored_calibration, rig_text, readings_csv)
