@@ -52,6 +52,7 @@ def test_versions_are_made_current_again_and_the_last_one_is_in_the_end(tmp_path
             return current[-1]
 
         def roll_back(self, version: int) -> None:  # type: ignore[override]
+            assert version != self.current  # the registry refuses that
             current.append(version)
 
         def calibration(self, version: int | None = None) -> Any:
@@ -59,7 +60,7 @@ def test_versions_are_made_current_again_and_the_last_one_is_in_the_end(tmp_path
             return type("Summarised", (), {"summary": staticmethod(lambda: content)})
 
     years.check_versions(TwoVersions(tmp_path))
-    assert current == [2, 1, 2, 2]
+    assert current == [2, 1, 2]
     monkeypatch.setattr(TwoVersions, "roll_back", lambda *_: None)
     with pytest.raises(RuntimeError, match="version 1 must be current again"):
         years.check_versions(TwoVersions(tmp_path))
