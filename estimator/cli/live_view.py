@@ -85,9 +85,15 @@ class LiveState:
         """How near the estimate is to what a fit of all readings at once would give."""
         if self.estimate is None:
             return ""
-        if self.estimate.is_polished:
-            return "polished: the same as a fit of all readings so far"
-        return "not polished yet: a fit of all readings so far may differ a little"
+        words = (
+            "polished: the same as a fit of all readings so far"
+            if self.estimate.is_polished
+            else "not polished yet: a fit of all readings so far may differ a little"
+        )
+        if missing := self.estimate.missing:
+            labels = ", ".join(cause.label for cause in missing)
+            words += f"; right only without {labels}, which these currents cannot tell from the coils"
+        return words
 
     @property
     def since(self) -> int | None:

@@ -18,7 +18,7 @@ from estimator.inference.running import RunningFit
 from estimator.live.watch import Alarm, Watch
 from estimator.readings.metrics import HALF_WIDTH_90
 from estimator.readings.observations import Observations
-from estimator.rig.rig import Rig
+from estimator.rig.rig import Cause, Rig
 
 FEWEST_COMPONENTS = 3  # per free parameter, before new readings are compared with their prediction
 
@@ -43,12 +43,14 @@ class Estimate:
         intervals: Interval of every free parameter.
         took_s: Time from the readings to this estimate.
         is_polished: Whether it is the maximum that a batch fit of these readings has, to 1e-6 standard deviations; else mostly to 0.05.
+        missing: What no laboratory is without and these readings cannot tell from the fields of the coils, so that it is not fitted.
     """
 
     n_readings: int
     intervals: Mapping[str, Interval]
     took_s: float
     is_polished: bool
+    missing: tuple[Cause, ...] = ()
 
 
 class Stream:
@@ -79,7 +81,8 @@ class Stream:
         self.rig = self._described = rig
         self.observations: Observations | None = None
         self.n_skipped = 0
-        self._tells_constant = False
+        self._tells_constant: bool | None = None
+        self._missing: tuple[Cause, ...] = ()
         self._fit = RunningFit(rig)
         self._watch = Watch(rig)
 
@@ -116,14 +119,14 @@ class Stream:
                 self._watch.look(innovation, new, n_before + 1)
             self._fit_everywhere(joined)
         n = 0 if self.observations is None else len(self.observations)
-        return Estimate(n, self.intervals(), time.monotonic() - begin_s, self.is_polished)
+        return Estimate(n, self.intervals(), time.monotonic() - begin_s, self.is_polished, self._missing)
 
     def _fit_everywhere(self, readings: Observations) -> None:
         """Begin anew with what no laboratory is without, or without it, where readings have begun or ceased to tell it."""
-        if tells_constant(readings) == self._tells_constant:
+        if (tells := tells_constant(readings)) == self._tells_constant:
             return
-        self._tells_constant = not self._tells_constant
-        fitted = with_everywhere(self._described, readings).rig
+        described, self._tells_constant = with_everywhere(self._described, readings), tells
+        fitted, self._missing = described.rig, described.missing
         if fitted.free != self.rig.free:
             values = {name: float(value) for name, value in self.values.items()}
             self.rig, self._fit = fitted, RunningFit(fitted, values)

@@ -25,7 +25,7 @@ from estimator.live.watch import Alarm
 from estimator.model.simulate import simulate
 from estimator.readings.observations import Observations
 from estimator.readings.plan import Plan
-from estimator.rig.rig import Rig
+from estimator.rig.rig import Cause, Rig
 from estimator.store.growing import StopReadings, new_header
 from estimator.store.journal import Journal
 from estimator.store.session import Session, seal
@@ -276,6 +276,10 @@ def test_the_screen_shows_instruments_intervals_alarms_and_verdict(small_rig, sm
     estimate = replace(stream.update(readings), took_s=0.012)
     polished = replace(empty, estimate=replace(estimate, is_polished=True))
     assert "polished: the same as a fit of all readings so far" in shown(polished)
+    without = replace(
+        polished, estimate=replace(polished.estimate, missing=(Cause("background_field", "room"),))
+    )
+    assert "right only without background_field[room], which these currents cannot tell" in without.standing
     alarm = Alarm("hall", "x", 21, 27, 2.0)
     known = Refreshed(20, {}, {"coil1.radius_m": (0.0511, 0.0522)}, "named", ("coil_heating[coil1]",), 1.0)
     record = replace(

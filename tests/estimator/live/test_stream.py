@@ -55,6 +55,7 @@ def test_the_field_of_the_room_is_fitted_where_the_rig_file_does_not_mention_it(
     for rows in torch.arange(len(readings)).split(20):
         last = stream.update(readings.rows(rows))
     assert stream.alarms == ()
+    assert last.missing == ()
     assert stream.rig.free == with_everywhere(rig, readings.calibration).rig.free
     truth = hidden.truth()["values"]
     off_sd = {n: (value - last.intervals[n].value) / last.intervals[n].sd for n, value in truth.items()}
@@ -111,3 +112,11 @@ def test_an_update_takes_milliseconds_however_long_the_session_is(small_rig, sma
         stream.update(readings.rows(torch.tensor([row])))
         took_s.append(time.perf_counter() - begin_s)
     assert statistics.median(took_s) < 0.15
+
+
+def test_what_one_current_cannot_tell_from_the_coils_is_told(small_session):
+    """At one current numbers of the coil were up to 17 standard deviations off in the Earth's field, and nothing said so."""
+    readings = small_session.observations.calibration
+    readings = replace(readings, current_A=torch.full_like(readings.current_A, 2.0))
+    told = Stream(small_session.rig).update(readings).missing
+    assert [cause.name for cause in told] == ["background_field", "sensor_offset"]
