@@ -41,7 +41,7 @@ class Share:
 
     Attributes:
         value: Of 1.
-        ci90: 90 % interval over the choice of the readings.
+        ci90: 90 % interval over the choice of the readings; where not all orders were tried, as wide as the orders differ.
     """
 
     value: float
@@ -63,6 +63,7 @@ class Budget:
         causes: Share of each cause of the extended rig, and of each kind of correction at all its places.
         shared: What several of them account for alike.
         left: What none of them accounts for.
+        has_all_orders: Whether causes were added in all orders, so that the shares are exact.
     """
 
     n_readings: int
@@ -71,6 +72,7 @@ class Budget:
     causes: Mapping[Cause, Share]
     shared: Share
     left: Share
+    has_all_orders: bool = True
 
     def is_negligible(self, cause: Cause) -> bool:
         """Whether the interval of a cause's share ends below `policy.NEGLIGIBLE_SHARE` of a misfit above the noise; not where it has none.
@@ -124,8 +126,10 @@ def budget(plain: Fit, extended: Fit, unseen: Observations, seed: int) -> Budget
     n = len(noise)
     chosen = [np.arange(n), *(random.integers(n, size=n) for _ in range(N_RESAMPLED))]
     rows = np.array([_shares(squares, noise, causes, orders, rows) for rows in chosen])
-    low, high = np.quantile(rows[1:], (0.05, 0.95), axis=0)
-    shares = [Share(float(v), (float(a), float(b))) for v, a, b in zip(rows[0], low, high, strict=True)]
+    value, has_all_orders = rows[0].mean(0), len(causes) <= MOST_IN_ALL_ORDERS
+    least, most = (rows.mean(1),) * 2 if has_all_orders else (rows.min(1), rows.max(1))
+    low, high = np.quantile(least[1:], 0.05, axis=0), np.quantile(most[1:], 0.95, axis=0)
+    shares = [Share(float(v), (float(a), float(b))) for v, a, b in zip(value, low, high, strict=True)]
     return Budget(
         n,
         misfit**0.5,
@@ -133,6 +137,7 @@ def budget(plain: Fit, extended: Fit, unseen: Observations, seed: int) -> Budget
         dict(zip(causes, shares[:-2], strict=True)),
         shares[-2],
         shares[-1],
+        has_all_orders,
     )
 
 
@@ -165,8 +170,8 @@ def _shares(
     causes: Sequence[Cause],
     orders: Sequence[Sequence[int]],
     rows: np.ndarray,
-) -> list[float]:
-    """Shares of each cause, what they share, and what is left, of some readings."""
+) -> Float[np.ndarray, "order share"]:
+    """What each cause takes away in each order, what they share, and what is left, of some readings."""
     mean = {some: float(each[rows].mean()) for some, each in squares.items()}
     before, after = mean[frozenset()], mean[frozenset(causes)]
     misfit = max(before - float(noise[rows].mean()), 1e-300)
@@ -177,7 +182,8 @@ def _shares(
             row[i] = (mean[present] - mean[present | {causes[i]}]) / misfit
             present |= {causes[i]}
     whole = (before - after) / misfit
-    return [*taken.mean(0).tolist(), whole - float(taken.min(0).sum()), 1.0 - whole]
+    rest = np.tile([whole - float(taken.min(0).sum()), 1.0 - whole], (len(orders), 1))
+    return np.hstack((taken, rest))
 
 
 def _fit_with(plain: Fit, extended: Fit, causes: Collection[Cause]) -> Fit:

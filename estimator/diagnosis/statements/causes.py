@@ -21,6 +21,7 @@ from estimator.rig.rig import Cause
 
 NOTHING_WRONG = "These readings show nothing wrong"
 MOST_SIZES = 2  # of a cause, that the headline tells
+MOST_SPREAD = 0.05  # of a share by the order in which causes are added, up to which one number tells it
 LEAST_SHARE = 0.005  # of the misfit, that is told as a percentage
 LEAST_DOUBT = 0.1  # of a name, from which on its link is told
 MOST_ALTERNATIVES = 4  # that a sentence lists; the others stand in diagnosis.json
@@ -97,6 +98,10 @@ def _share(diagnosis: Diagnosis, causes: Sequence[Cause]) -> str:
     subject = "It accounts" if len(causes) == 1 else "They account"
     share = sum(share.value for share in known)
     of_it = "none" if share < LEAST_SHARE else "all" if share > 1.0 - LEAST_SHARE else percent(share)
+    if budget is not None and not budget.has_all_orders:
+        low, high = (max(sum(share.ci90[end] for share in known), 0.0) for end in (0, 1))
+        if high - low > MOST_SPREAD:
+            of_it = f"{100.0 * low:.0f} to {percent(min(high, 1.0))}"
     return f" {subject} for {of_it} of the misfit of unseen readings."
 
 

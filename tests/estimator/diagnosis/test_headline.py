@@ -360,6 +360,9 @@ def test_share_of_the_misfit_is_told_beside_a_name_and_drawn(diagnosis):
         of_value = replace(budget, causes={named.cause: Share(value, (value, value))})
         sentence = headline(replace(diagnosis, fits=replace(diagnosis.fits, budget=of_value)))[0]
         assert sentence.endswith(f" It accounts for {words} of the misfit of unseen readings.")
+    in_some_orders = replace(budget, has_all_orders=False)
+    sentence = headline(replace(diagnosis, fits=replace(diagnosis.fits, budget=in_some_orders)))[0]
+    assert sentence.endswith(" It accounts for 65 to 80 % of the misfit of unseen readings.")
     assert told.to_json()["budget"] == budget.to_json()
     figure = next(p for p in pictures(told) if p.title == "Error budget")
     assert "200 µT rms" in figure.caption
