@@ -70,11 +70,12 @@ def budget_pictures(diagnosis: Diagnosis) -> Iterator[Picture]:
         shares["shared by several"] = (budget.shared.value, budget.shared.ci90)
         roles.append(plots.Role.OTHER)
     shares["left"] = (budget.left.value, budget.left.ci90)
+    orders = "" if budget.has_all_orders else ", as wide as two orders differ"
     yield Picture(
         "Error budget",
         f"What the rig as described misses of {budget.n_readings} readings that no fit has seen, beyond the noise: "
         f"{size_with_unit(budget.misfit_T, 'T', 3)} rms. Each bar is the share that a cause accounts for, the mean over orders of adding "
-        f"them; lines are 90 % intervals over the choice of the readings{'' if budget.has_all_orders else ', as wide as two orders differ'}.",
+        f"them; lines are 90 % intervals over the choice of the readings{orders}.",
         plots.error_budget(shares, [*roles, plots.Role.LEFT], title=diagnosis.rig.name),
     )
 
