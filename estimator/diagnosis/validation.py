@@ -186,6 +186,8 @@ def validation_scores(
             each_T = torch.cat([posterior.predicted(some) for some in draws.split(DRAWS_AT_ONCE)])
             middle_T, variance = each_T.mean(0), each_T.var(0)
     log_density, below = _mixture(posterior, fit, middle_T, noise_T, variance)
+    if draws is not None:  # intervals are quantiles of draws, which need not be normal
+        _, below = _mixture(posterior, fit, each_T, noise_T, torch.zeros_like(variance))
     reading = torch.arange(len(unseen), device=unseen.device)[:, None].expand(-1, 3)[unseen.is_measured]
     by_reading = log_density.new_zeros(len(unseen)).index_add(0, reading, log_density)
     coverage = {p: _inside(below, p) for p in (0.5, 0.9)}
@@ -287,7 +289,7 @@ def _draws(fit: Fit, covariance: Float[Tensor, "coordinate coordinate"]) -> Floa
 def _mixture(
     posterior: LogPosterior,
     fit: Fit,
-    middle_T: Float[Tensor, " component"],
+    middle_T: Float[Tensor, "*draw component"],
     noise_T: Float[Tensor, "draw component"],
     variance: Float[Tensor, " component"],
 ) -> tuple[Float[Tensor, " component"], Float[Tensor, " component"]]:
@@ -296,7 +298,7 @@ def _mixture(
     Where the rig has outliers two normals are mixed, and always those of noise as wide as in each draw.
 
     Args:
-        middle_T, variance: Of the predictions, without noise.
+        middle_T, variance: Of the predictions, without noise; of each draw, where it has one of its own.
     """
     residual_T = posterior.measured_T - middle_T
     share, ratio = posterior.contamination(fit.values)
