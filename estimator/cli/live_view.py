@@ -92,7 +92,9 @@ class LiveState:
         )
         if missing := self.estimate.missing:
             labels = ", ".join(cause.label for cause in missing)
-            words += f"; right only without {labels}, which these currents cannot tell from the coils"
+            words += (
+                f"; it holds only where {labels} is absent, which these currents cannot tell from the coils"
+            )
         return words
 
     @property

@@ -189,7 +189,7 @@ def doubts(result: Diagnosis) -> list[str]:
     ]
     if stand_ins := result.findings.stand_ins:
         names = ", ".join(map(result.label, stand_ins))
-        words.append(f"it has {names}, which the readings are not sure enough of to state.")
+        words.append(f"it has {names}, not sure enough to be stated.")
     correction = result.fits.correction
     if correction is not None and correction.is_taken:
         of_readings = [part for part in correction.parts if not part.is_predicted]
@@ -197,7 +197,7 @@ def doubts(result: Diagnosis) -> list[str]:
             names = told_together(of_readings, result.label)
             words.append(f"it follows readings with {names}, which no prediction has.")
     if result.verdict.leaves_something:
-        words.append("the diagnosis found that something is wrong which this rig does not have.")
+        words.append("the diagnosis found something wrong that this rig does not describe.")
     return words
 
 

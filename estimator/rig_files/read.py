@@ -119,16 +119,13 @@ def _joint(section: Section, rig: Rig) -> JointNormal:
     names, rows = section.required("of"), section.required("covariance")
     section.finish()
     free = [parameter.name for parameter in rig.free]
-    if not isinstance(names, list) or [names.count(name) for name in names if name in free] != [1] * len(
-        names
-    ):
-        section.refuse(
-            "of", f"must list free numbers, each once (free are {', '.join(free)})", quoted(str(names))
-        )
+    if not isinstance(names, list) or not all(name in free and names.count(name) == 1 for name in names):
+        rule = f"must list free numbers, each once (free are {', '.join(free)})"
+        section.refuse("of", rule, quoted(str(names)))
     try:
         covariance = np.array(rows, dtype=float).reshape(len(names), len(names))
-        is_usable = bool(
-            (covariance == covariance.T).all() and np.isfinite(np.linalg.cholesky(covariance)).all()
+        is_usable = (
+            np.array_equal(covariance, covariance.T) and np.isfinite(np.linalg.cholesky(covariance)).all()
         )
     except (TypeError, ValueError, np.linalg.LinAlgError):
         is_usable = False

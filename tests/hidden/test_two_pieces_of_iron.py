@@ -5,10 +5,13 @@ Decision 8 was made on this session: the test keeps a fault from coming back, an
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import pytest
 
 from estimator import diagnose, load_rig
 from estimator.diagnosis.verdict import Verdict
+from estimator.effects import EFFECTS
 from estimator.store.importers.readings_csv import read_readings_csv
 from tests.hidden.study import draw_case
 
@@ -33,3 +36,25 @@ def test_both_pieces_are_named_where_they_are(tmp_path):
         [truth["parameters"][f"{which}_{axis}_m"]["value"] for axis in "xyz"] for which in ("first", "second")
     )
     assert fitted_m == [pytest.approx(place_m, abs=PLACE_TOLERANCE_M) for place_m in true_m]
+
+
+@pytest.mark.whole
+def test_two_pieces_are_neither_a_reversed_layer_nor_scatter_of_the_mover(tmp_path):
+    """A linear model liked a reversed layer better than both fitted pieces, and what that left was named scatter."""
+    named = names_of("iron", 489_003, tmp_path)
+    assert {"iron_body", "second_iron_body"} <= named
+    assert "position_jitter" not in named
+
+
+@pytest.mark.whole
+def test_a_piece_beside_one_of_no_volume_is_the_first(tmp_path):
+    named = names_of("mixed", 588_074, tmp_path)
+    assert "iron_body" in named
+    assert "second_iron_body" not in named
+
+
+def names_of(kind: str, seed: int, folder: Path) -> set[str]:
+    """Names that a diagnosis states in a hidden session."""
+    draw_case(kind, seed, EFFECTS).write(folder)
+    session = read_readings_csv(folder / "readings.csv", load_rig(folder / "rig.yaml"))
+    return {named.cause.name for named in diagnose(session, seed=seed).causes}

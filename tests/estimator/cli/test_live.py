@@ -279,7 +279,10 @@ def test_the_screen_shows_instruments_intervals_alarms_and_verdict(small_rig, sm
     without = replace(
         polished, estimate=replace(polished.estimate, missing=(Cause("background_field", "room"),))
     )
-    assert "right only without background_field[room], which these currents cannot tell" in without.standing
+    assert (
+        "it holds only where background_field[room] is absent, which these currents cannot tell"
+        in without.standing
+    )
     alarm = Alarm("hall", "x", 21, 27, 2.0)
     known = Refreshed(20, {}, {"coil1.radius_m": (0.0511, 0.0522)}, "named", ("coil_heating[coil1]",), 1.0)
     record = replace(

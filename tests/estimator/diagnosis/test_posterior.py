@@ -134,9 +134,7 @@ def test_a_calibration_of_what_is_not_sure_or_not_all_is_not_good():
     """Session 494063 of `make truthful`: gains stood for iron that nothing named, and the calibration beside `unexplained` was good."""
     gain = SimpleNamespace(stand_ins=(Cause("axis_gain", "hall"),))
     assert doubts(outcome()) == []
-    assert doubts(outcome(findings=gain)) == [
-        "it has axis_gain, which the readings are not sure enough of to state."
-    ]
+    assert doubts(outcome(findings=gain)) == ["it has axis_gain, not sure enough to be stated."]
     assert doubts(outcome(verdict=SimpleNamespace(leaves_something=True))) == [
-        "the diagnosis found that something is wrong which this rig does not have."
+        "the diagnosis found something wrong that this rig does not describe."
     ]
