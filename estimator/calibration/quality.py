@@ -11,7 +11,6 @@ import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from enum import StrEnum
-from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -23,12 +22,9 @@ from estimator.calibration.next_degree import CLEAR_LOG_EVIDENCE
 from estimator.calibration.patterns import clearest_pattern
 from estimator.calibration.result import Calibration
 from estimator.effects import EFFECTS
-from estimator.inference.noise_of_readings import noise_of_readings_T
-from estimator.readings.observations import Observations
-from estimator.readings.scatter import scatter_T
+from estimator.inference.noise_of_readings import noise_rms_T, scatter_of_sensors
 from estimator.reporting.numbers import displays, percent, size_with_unit
 from estimator.rig.parameters import Parameter
-from estimator.rig.rig import Rig
 
 MOST_OF_IT = 0.5  # share of the squared error from which on it is told to be that of one reading
 
@@ -103,18 +99,19 @@ def assessment(
     role = "validation" if errors["rmse"]["validation"] else "calibration"
     missed, error_T = errors["rmse"][role]["relative"], errors["rmse"][role]["vector_T"]
     coverage90 = errors["coverage90"][role]
-    rig = calibration.rig
-    scatter = _scatter(calibration)
-    expected_T = noise_rms_T(calibration.observations, rig, rig.nominal_values(), role, scatter)
+    rig, observations = calibration.rig, calibration.observations
+    nominal, scatter = rig.nominal_values(), scatter_of_sensors(rig, observations.calibration)
+    judged = observations.validation if role == "validation" else observations.calibration
+    expected_T = noise_rms_T(rig, judged, nominal, scatter)
     sizes = f"{_size(error_T)} where the expected noise leaves {_size(expected_T)}"
     if missed is not None and missed > policy.MISSED_SHARE and error_T > policy.MISSED_NOISE * expected_T:
         reason = f"the model misses {percent(missed)} of the field, {sizes}."
         return Assessment(Quality.UNUSABLE, (reason,), DO_NOT_USE)
     medians = {name: float(np.median(draws)) for name, draws in calibration.draws.items()}
-    fit = LinearFit.of(calibration.rig, calibration.observations.calibration, calibration.best)
+    fit = LinearFit.of(rig, observations.calibration, calibration.best)
     misfit = _misfit(error_T, expected_T)
     if not misfit and role == "validation":
-        fitted_T = noise_rms_T(calibration.observations, rig, rig.nominal_values(), "calibration", scatter)
+        fitted_T = noise_rms_T(rig, observations.calibration, nominal, scatter)
         misfit = _misfit(
             errors["rmse"]["calibration"]["vector_T"], fitted_T, " of the readings that were fitted"
         )
@@ -150,42 +147,6 @@ def assessment(
         "from what is expected."
     )
     return Assessment(Quality.GOOD, (reason,), LOOK_CLOSER)
-
-
-def _scatter(calibration: Calibration) -> dict[str, float]:
-    """Noise of each sensor by readings at the same places, where there are enough: no prior knows it better."""
-    by_sensor = scatter_T(calibration.observations.calibration, len(calibration.rig.sensors))
-    return {
-        f"{sensor.name}.noise_T": noise_T
-        for sensor, noise_T in zip(calibration.rig.sensors, by_sensor, strict=True)
-        if noise_T is not None
-    }
-
-
-def noise_rms_T(
-    observations: Observations,
-    rig: Rig,
-    values: Mapping[str, float],
-    role: str,
-    scatter: Mapping[str, float] = MappingProxyType({}),
-) -> float:
-    """The rms length of an error by noise alone: no model predicts readings better than that.
-
-    Args:
-        observations: Of the session.
-        rig: Whose sensors read them.
-        values: Every number of the rig.
-        role: `validation` or `calibration`: which of the readings.
-        scatter: Noise of sensors, by name, in place of what the rig says of it.
-    """
-    judged = observations.rows(observations.is_validation == (role == "validation"))
-    variance = noise_of_readings_T(rig, judged, values).square().numpy()
-    for i, sensor in enumerate(rig.sensors):
-        if (noise_T := scatter.get(f"{sensor.name}.noise_T")) is not None:
-            variance[judged.sensor.numpy() == i] = noise_T**2
-    is_measured = judged.is_measured.numpy()
-    squared = (is_measured * variance).sum(axis=1)[is_measured.any(axis=1)].mean()
-    return float(np.sqrt(squared))
 
 
 def tensions(parameters: Iterable[Parameter], values: Mapping[str, float]) -> list[str]:

@@ -6,9 +6,10 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from estimator.calibration.notes import MOST_TOLD, told_by_data
-from estimator.calibration.quality import condition, noise_rms_T
+from estimator.calibration.quality import condition
 from estimator.calibration.result import Calibration
 from estimator.inference.laplace import TOGETHER
+from estimator.inference.noise_of_readings import noise_rms_T
 from estimator.reporting.numbers import microtesla, percent, probability
 from estimator.units import split_quotient
 
@@ -56,7 +57,9 @@ def verdict_sentences(calibration: Calibration) -> list[str]:
 def _noise_share(calibration: Calibration, role: str) -> str:
     """The rms of the vector from noise alone, as large as it was found."""
     sensors = calibration.rig.sensors
-    noise_T = noise_rms_T(calibration.observations, calibration.rig, calibration.best, role)
+    observations = calibration.observations
+    judged = observations.validation if role == "validation" else observations.calibration
+    noise_T = noise_rms_T(calibration.rig, judged, calibration.best)
     is_fitted = any(f"{sensor.name}.noise_T" in calibration.draws for sensor in sensors)
     return (
         f"Noise as large as {'the fit found' if is_fitted else 'the rig file says'} would by itself leave "

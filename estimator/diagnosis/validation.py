@@ -22,6 +22,7 @@ from estimator.diagnosis.predicted_field import PredictedReadings, not_predicted
 from estimator.effects.use import as_meant, is_in_field
 from estimator.inference.directions import Directions
 from estimator.inference.likelihood import LogPosterior
+from estimator.inference.noise_of_readings import noise_rms_T, scatter_of_sensors
 from estimator.readings.metrics import ErrorMetrics, error_metrics
 from estimator.readings.observations import Observations
 from estimator.rig.rig import Cause
@@ -47,6 +48,7 @@ class ValidationScores:
         log_density: Log predictive density of each reading.
         predicted: Errors of the field that `predict` gives, which has nothing that only these readings have.
         coverage_of_prediction: Computes the coverage of its intervals.
+        rms_of_noise: Computes the rms length of an error by noise alone, by repeated readings or the rig file.
     """
 
     errors: ErrorMetrics
@@ -56,6 +58,7 @@ class ValidationScores:
     log_density: Float[Tensor, " reading"]
     predicted: ErrorMetrics
     coverage_of_prediction: Callable[[], float] = field(repr=False, compare=False)
+    rms_of_noise: Callable[[], float] = field(repr=False, compare=False)
 
     @cached_property
     def predicted_coverage90(self) -> float:
@@ -202,8 +205,16 @@ def validation_scores(
         error_metrics(numpy_of(unseen.field_sensor_T), numpy_of(each), is_on)
         for each in (predicted_T, shown_T)
     )
-    elpd = float(by_reading.sum())
-    return ValidationScores(errors, elpd, coverage[0.5], coverage[0.9], by_reading, predicted, of_prediction)
+    elpd, noise = float(by_reading.sum()), partial(_noise_rms_T, fit, unseen)
+    return ValidationScores(
+        errors, elpd, coverage[0.5], coverage[0.9], by_reading, predicted, of_prediction, noise
+    )
+
+
+def _noise_rms_T(fit: Fit, unseen: Observations) -> float:
+    """What noise leaves of readings, by the rig file, and by those that were fitted where a sensor read often at one place."""
+    rig = fit.rig
+    return noise_rms_T(rig, unseen, rig.nominal_values(), scatter_of_sensors(rig, fit.observations))
 
 
 def _inside(below: Float[Tensor, " component"], share: float) -> float:

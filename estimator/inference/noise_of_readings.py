@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from types import MappingProxyType
 
 from jaxtyping import Float
 
@@ -11,6 +12,7 @@ from estimator.effects.use import uses_of
 from estimator.inference.likelihood import LogPosterior
 from estimator.model.measurement_model import MeasurementModel
 from estimator.readings.observations import Observations
+from estimator.readings.scatter import scatter_T
 from estimator.rig.coordinates import Coordinates
 from estimator.rig.rig import Rig
 from estimator.tensors import Tensor, torch
@@ -34,3 +36,41 @@ def noise_of_readings_T(
         posterior = LogPosterior(Coordinates(rig), model, observations)
         sigma_T[observations.is_measured] = posterior.component_sigma_at_T(known, torch.Size())
     return sigma_T
+
+
+def noise_rms_T(
+    rig: Rig,
+    observations: Observations,
+    values: Mapping[str, float],
+    scatter: Mapping[str, float] = MappingProxyType({}),
+) -> float:
+    """The rms length of an error by noise alone: no model predicts readings better than that.
+
+    Args:
+        rig: Whose sensors read them.
+        observations: The readings.
+        values: Every number of the rig.
+        scatter: Noise of sensors, by the name of its number, in place of what the rig says of it.
+    """
+    variance = noise_of_readings_T(rig, observations, values).square()
+    for i, sensor in enumerate(rig.sensors):
+        if (noise_T := scatter.get(f"{sensor.name}.noise_T")) is not None:
+            variance[observations.sensor == i] = noise_T**2
+    is_measured = observations.is_measured
+    return float((is_measured * variance).sum(1)[is_measured.any(1)].mean().sqrt())
+
+
+def scatter_of_sensors(rig: Rig, observations: Observations) -> dict[str, float]:
+    """Noise of each sensor by readings at the same places, where there are enough: no prior knows it better.
+
+    Args:
+        rig: Whose sensors read them.
+        observations: The readings.
+    Returns: By the name of its number in the rig.
+    """
+    by_sensor = scatter_T(observations, len(rig.sensors))
+    return {
+        f"{sensor.name}.noise_T": noise_T
+        for sensor, noise_T in zip(rig.sensors, by_sensor, strict=True)
+        if noise_T is not None
+    }

@@ -126,8 +126,8 @@ def test_intervals_of_an_extended_rig_hold_if_its_cause_is_what_is_wrong(
 
 def test_how_far_the_rig_misses_is_that_of_the_calibration(told, unseen_uT):
     words = "Something is wrong, and no known cause is probable: the rig as described misses readings that no fit has seen by "
-    words += "{:.3g} µT rms where the rig file has noise of {} µT, mostly in x of hall."
-    statements = told("", words.format(unseen_uT, 8.7), ONLY_GAIN)
+    words += "{:.3g} µT rms where the expected noise leaves {} µT, mostly in x of hall."
+    statements = told("", words.format(unseen_uT, 8.66), ONLY_GAIN)
     assert are_true(statements, "missed") == are_true(statements, "expected_noise") == [True]
     wrong = told("", words.format(1.2 * unseen_uT, 17), replace(ONLY_GAIN, noise_T=np.full(36, 5e-6)))
     assert are_true(wrong, "missed") == are_true(wrong, "expected_noise") == [False]
@@ -138,7 +138,7 @@ def test_most_is_wrong_in_the_component_that_misses_most(told, monkeypatch, axis
     right = HandedOut.readings_T
     off_T = torch.tensor([1e-5, 0.0, 1e-3], dtype=torch.float64)
     monkeypatch.setattr(HandedOut, "readings_T", lambda self, *readings: right(self, *readings) + off_T)
-    words = f"the rig as described misses readings that no fit has seen by 1 mT rms where the rig file has noise of 8.7 µT, mostly in {axis} of hall."
+    words = f"the rig as described misses readings that no fit has seen by 1 mT rms where the expected noise leaves 8.7 µT, mostly in {axis} of hall."
     assert are_true(told("", words), "mostly") == [is_true]
 
 

@@ -34,25 +34,20 @@ def misses(diagnosis: Diagnosis) -> str:
     Of readings that no fit has seen, where there are some: what the extended rig leaves of them is told with the gain. Else of those that
     were fitted, by both; the extended rig says more of the noise than the rig file does, which may state more than there is.
     """
-    before, after = (symptoms.lack_of_fit for symptoms in (diagnosis.fits.before, diagnosis.fits.after))
     improvement = diagnosis.improvement
-    rms_T, noise_T, of = before.rms_T, before.noise_T, "the readings that were fitted"
-    if improvement is not None:
-        errors = improvement.before.errors
-        rms_T, of = errors.vector_T, "readings that no fit has seen"
-        noise_T *= errors.vector_T / errors.component_T if errors.component_T > 0.0 else 1.0
+    if improvement is None:
+        before, after = (symptoms.lack_of_fit for symptoms in (diagnosis.fits.before, diagnosis.fits.after))
+        rms_T, noise_T, of = before.rms_T, before.noise_T, "the readings that were fitted"
+    else:
+        rms_T, noise_T = improvement.before.errors.vector_T, improvement.before.rms_of_noise()
+        of = "readings that no fit has seen"
     rms = f"the rig as described misses {of} by {size_with_unit(rms_T, 'T', 3)} rms"
     if improvement is None and before is not after:
         return f"{rms}, the extended rig by {size_with_unit(after.rms_T, 'T', 3)}{_mostly(diagnosis)}"
-    noise_rms = size_with_unit(noise_T, "T")
+    noise_rms = size_with_unit(noise_T, "T", 3)
     if rms_T <= noise_T:
-        return f"{rms}, no more than noise of {noise_rms} would, but not at random"
-    noise = (
-        "readings that were repeated scatter by"
-        if before.noise_from == "repeats"
-        else "the rig file has noise of"
-    )
-    return f"{rms} where {noise} {noise_rms}{_mostly(diagnosis)}"
+        return f"{rms}, no more than the expected noise leaves ({noise_rms}), but not at random"
+    return f"{rms} where the expected noise leaves {noise_rms}{_mostly(diagnosis)}"
 
 
 def _mostly(diagnosis: Diagnosis) -> str:

@@ -11,7 +11,7 @@ from itertools import combinations
 import numpy as np
 from torch import Tensor
 
-from estimator.calibration.quality import noise_rms_T
+from estimator.inference.noise_of_readings import noise_rms_T
 from estimator.reporting.numbers import displays
 from scripts.studies.judge.advice import OF_CALIBRATE
 from scripts.studies.judge.case import CALIBRATE_TEXT, Case
@@ -62,7 +62,7 @@ def goodness(
         why = "; ".join(excluded.values()) or "no interval excludes the truth"
         return Statement("good", source, text, not excluded, f"{why} (hidden: {case.truth.words})")
     held_out = case.observations.rows(case.observations.is_validation)
-    noise_T = noise_rms_T(case.observations, case.plain.rig, case.plain.rig.nominal_values(), "validation")
+    noise_T = noise_rms_T(case.plain.rig, held_out, case.plain.rig.nominal_values())
     missed_T = model.errors(held_out).vector_T
     why = f"held-out readings are missed by {missed_T:.3g} T where noise leaves {noise_T:.3g}"
     return Statement("good", source, text, missed_T <= MOST_MISSED * noise_T, why)
@@ -81,16 +81,17 @@ def misses(case: Case, text: str, match: re.Match[str]) -> Iterator[Statement]:
 def expected_noise(case: Case, source: str, text: str, printed_T: float, digits: int) -> Iterator[Statement]:
     """Noise of unseen readings, or of all where none are: that of the rig file, or by repeats, which is near the true one."""
     is_seen = not bool(case.observations.is_validation.any())
-    role = "calibration" if is_seen else "validation"
-    noise_T = noise_rms_T(case.observations, case.plain.rig, case.plain.rig.nominal_values(), role)
+    is_judged = case.observations.is_validation != is_seen
+    nominal = case.plain.rig.nominal_values()
+    noise_T = noise_rms_T(case.plain.rig, case.observations.rows(is_judged), nominal)
     stated = number_statement("expected_noise", source, text, printed_T, [noise_T], digits)
     if case.truth is not None and case.truth.noise_T is not None and not stated.is_true:
         # Of a sensor that read often at one place the scatter tells the noise, of others the rig file does.
-        is_judged = (case.observations.is_validation != is_seen).numpy()
-        true_T, sensor = case.truth.noise_T[is_judged], case.observations.sensor.numpy()[is_judged]
-        rig_T = np.array(
-            [case.plain.rig.nominal_values()[f"{s.name}.noise_T"] for s in case.plain.rig.sensors]
+        true_T, sensor = (
+            case.truth.noise_T[is_judged.numpy()],
+            case.observations.sensor[is_judged].numpy(),
         )
+        rig_T = np.array([nominal[f"{s.name}.noise_T"] for s in case.plain.rig.sensors])
         possible_T = [
             float(np.sqrt(3.0 * np.square(np.where(np.isin(sensor, told), true_T, rig_T[sensor])).mean()))
             for n in range(1, len(rig_T) + 1)

@@ -88,15 +88,14 @@ def no_known_cause(case: Case, text: str, _: re.Match[str]) -> Iterator[Statemen
 
 @sentence(
     r"the rig as described misses readings that no fit has seen by (?P<missed>[\d.]+ \S*T) rms"
-    r"(?: where the rig file has noise of (?P<noise>[\d.]+ \S*T)| where readings that were repeated scatter by (?P<scatter>[\d.]+ \S*T)"
-    r"|, no more than noise of (?P<random>[\d.]+ \S*T) would, but not at random)?"
+    r"(?: where the expected noise leaves (?P<noise>[\d.]+ \S*T)"
+    r"|, no more than the expected noise leaves \((?P<random>[\d.]+ \S*T)\), but not at random)?"
     r"(?:, mostly in (?P<axis>[xyz]) of (?P<sensor>\w+))?"
 )
 def misses(case: Case, text: str, match: re.Match[str]) -> Iterator[Statement]:
     """How far the rig as described misses unseen readings, beside which noise, and in which component."""
-    noise = next(filter(None, match.group("noise", "scatter", "random")), None)
-    if noise is not None:
-        yield from expected_noise(case, DIAGNOSE, text, size_of(noise), 2)
+    if noise := match["noise"] or match["random"]:
+        yield from expected_noise(case, DIAGNOSE, text, size_of(noise), 3)
     if case.flagged.any():
         return  # what `calibrate` fitted is another model then
     values = [case.plain.errors(case.held_out).vector_T]

@@ -163,7 +163,7 @@ def test_what_is_not_sure_enough_to_be_stated_is_told_apart_from_what_was_found(
     assert diagnosis.improvement is not None
     rms = size_with_unit(diagnosis.improvement.before.errors.vector_T, "T", 3)
     assert (
-        f"the rig as described misses readings that no fit has seen by {rms} rms where the rig file has noise of "
+        f"the rig as described misses readings that no fit has seen by {rms} rms where the expected noise leaves "
         in page
     )
     fitted = replace(unexplained, fits=replace(unexplained.fits, improvement=None))

@@ -91,6 +91,14 @@ def test_errors_are_those_of_the_prediction_at_the_maximum(fits, wrong_zero):
     assert validation_scores(fit, unseen).errors.vector_T == pytest.approx(expected.vector_T, rel=1e-5)
 
 
+def test_errors_are_told_beside_what_noise_leaves_of_the_same_readings(fits, wrong_zero):
+    unseen = wrong_zero.validation
+    of_one_axis = replace(unseen, field_sensor_T=unseen.field_sensor_T.clone())
+    of_one_axis.field_sensor_T[:, 1:] = math.nan
+    assert validation_scores(fits[1], unseen).rms_of_noise() == pytest.approx(math.sqrt(3.0) * NOISE_T)
+    assert validation_scores(fits[1], of_one_axis).rms_of_noise() == pytest.approx(NOISE_T)
+
+
 def test_right_cause_gains_on_unseen_readings(improvement):
     assert improvement.is_significant
     assert improvement.after.errors.vector_T < 0.75 * improvement.before.errors.vector_T
