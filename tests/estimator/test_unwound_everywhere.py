@@ -13,7 +13,6 @@ from estimator.calibration.calibrate import calibrate
 from estimator.calibration.result import Calibration
 from estimator.inference.ensemble import SamplerSettings
 from estimator.live.stream import Stream
-from estimator.recalibration.judgement import judge
 from estimator.recalibration.widening import widened_rig
 from estimator.rig.rig import Rig
 from estimator.rig_files.read import rig_from_text
@@ -77,10 +76,3 @@ def test_a_rig_without_a_free_pose_has_priors_for_the_next_session(current, rig)
     assert prior is not None
     assert first is not None
     assert current.draws[UNIFORM].std() <= prior.sd < first.sd
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(("gain", "conclusion"), [(1.0, "unchanged"), (1.03, "updated")])
-def test_a_recalibration_sees_when_its_field_has_changed(rig, current, gain, conclusion):
-    judged = judge(week(rig, 3, gain), rig, current, seed=1, settings=SETTINGS)
-    assert judged.conclusion == conclusion

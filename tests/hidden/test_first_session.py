@@ -11,7 +11,6 @@ from estimator.inference.ensemble import SamplerSettings
 from estimator.rig_files.read import load_rig
 from estimator.store.importers.readings_csv import read_readings_csv
 from estimator.store.session import Session
-from scripts.studies.first_calibrations import judged
 
 pytestmark = pytest.mark.whole
 SETTINGS = SamplerSettings(target_ess=300.0)
@@ -43,12 +42,3 @@ def test_as_described_it_is_suspect_and_readings_without_current_say_so(session)
     assert summary["quality"]["verdict"] == "suspect"
     assert "1.7 times what the expected noise leaves" in summary["quality"]["reasons"][0]
     assert not summary["fitted_besides"]
-
-
-@pytest.mark.slow
-def test_a_laboratory_with_nothing_unmentioned_is_good_and_one_with_much_is_not():
-    clean = judged(910003, as_described=False)
-    assert (clean["ordinary"], clean["verdict"], clean["false"]) == ((), "good", [])
-    wrong = judged(910006, as_described=False)
-    assert "gains" in wrong["ordinary"]
-    assert wrong["verdict"] == "suspect"

@@ -10,7 +10,7 @@ import pytest
 import torch
 from scipy.spatial.transform import Rotation
 
-from estimator import SamplerSettings, calibrate, diagnose
+from estimator import SamplerSettings, calibrate
 from estimator.rig.rig import Rig
 from estimator.rig_files.read import rig_from_text
 from estimator.store.importers.readings_csv import read_readings_csv
@@ -103,15 +103,3 @@ def test_intervals_hold_the_coil_of_another_program(text, tmp_path):
     expected_T = field_T(truth, places_m)
     held = (lower_T.numpy() <= expected_T) & (expected_T <= upper_T.numpy())
     assert held.mean() > 0.5  # 90 % on average; places share the coil's errors
-
-
-@pytest.mark.slow  # test_diagnose finds one in a round coil
-def test_a_gain_of_one_axis_is_named(tmp_path):
-    rig = rig_from_text(SHARP)
-    truth = truth_of(rig, np.random.default_rng(8))
-    found = diagnose(session(rig, truth, tmp_path, 9, gain_x=1.02), seed=1, has_corrections=False).to_json()
-    assert found["verdict"] == "named"
-    assert [(cause["name"], cause["place"]) for cause in found["causes"]] == [("axis_gain", "hall")]
-    known = found["causes"][0]["parameters"]["x"]
-    assert abs(known["median"] - 0.02) < 4.0 * known["sd"]
-    assert known["sd"] < 0.005

@@ -17,13 +17,3 @@ def test_c_by_hand_and_coilcal_sum_the_same_loops(tmp_path):
     for name in libraries:
         # Rounding of 64 loops, whose fields add up with one sign along z.
         np.testing.assert_allclose(by_name[name](), ours, rtol=1e-13, atol=1e-14 * np.abs(ours).max())
-
-
-def test_without_a_compiler_the_yardstick_is_left_out_in_a_sentence(tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr(kernel.shutil, "which", lambda name: None)
-    assert kernel.by_hand(tmp_path) == {}
-    assert "no C compiler" in capsys.readouterr().out
-    kernel.show(3, kernel.functions({}, steps=3), repeats=1, calls=1)
-    first_row = capsys.readouterr().out.splitlines()[2]
-    assert first_row.startswith("coilcal, value")
-    assert "1.00 x" in first_row

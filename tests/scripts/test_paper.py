@@ -10,7 +10,6 @@ import pytest
 
 from scripts.paper import (
     errata_of_tables,
-    experiment_twin,
     printed,
     programme,
     residual_causes,
@@ -129,11 +128,3 @@ def test_the_cause_that_gives_the_printed_numbers_comes_first():
 def _twin(cause: str, seed: int) -> Twin:
     numbers = [*printed.CALIBRATED, *printed.CALIBRATED_POSE]
     return Twin(cause, seed, list(numbers), 1.0, [4.3e-3, 2.7e-3], [9.2e-3, 7.0e-3], 0.04, 0.104, 1000)
-
-
-@pytest.mark.slow
-def test_the_twin_of_the_experiment_names_the_literal_sum_and_draws_it(tmp_path):
-    text = experiment_twin.study(tmp_path)
-    assert "diagnose, not told: named\n- spherical_sum" in text
-    names = {path.name for path in tmp_path.iterdir()}
-    assert names >= {"twin_residual.png", "twin_evidence.png", "twin_relative_error_literal.png"}

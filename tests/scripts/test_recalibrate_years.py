@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from contextlib import nullcontext
 from typing import Any
 
 import pytest
 
-from estimator.recalibration.registry import Registry
 from scripts.studies import recalibrate_years as years
 
 
@@ -36,31 +34,3 @@ def test_needless_updates_are_counted_but_not_the_first_calibration():
     assert years.needless(year("robot_scale", "robot_scale", updates=(8, 12))) == [8, 12]
     assert years.needless(year("robot_scale", "robot_scale")) == []
     assert not years.alarms(year("robot_scale", "robot_scale", updates=(8,)))
-
-
-def test_versions_are_made_current_again_and_the_last_one_is_in_the_end(tmp_path, monkeypatch):
-    current: list[int] = [2]
-
-    class TwoVersions(Registry):
-        versions = (1, 2)
-
-        def writing(self) -> Any:
-            return nullcontext()
-
-        @property
-        def current(self) -> int:
-            return current[-1]
-
-        def roll_back(self, version: int) -> None:  # type: ignore[override]
-            assert version != self.current  # the registry refuses that
-            current.append(version)
-
-        def calibration(self, version: int | None = None) -> Any:
-            content = {"version": version or self.current}
-            return type("Summarised", (), {"summary": staticmethod(lambda: content)})
-
-    years.check_versions(TwoVersions(tmp_path))
-    assert current == [2, 1, 2]
-    monkeypatch.setattr(TwoVersions, "roll_back", lambda *_: None)
-    with pytest.raises(RuntimeError, match="version 1 must be current again"):
-        years.check_versions(TwoVersions(tmp_path))

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import importlib
 import runpy
-import subprocess
 import sys
 from functools import partial
 from pathlib import Path
@@ -48,12 +47,3 @@ def test_recalibrate_judges_what_lies_in_the_inbox(small_session, rig_text, tmp_
     assert "first.zarr: updated, first calibration" in said
     assert "coil1.radius_m" in said
     assert "version 1 is in use" in said
-
-
-@pytest.mark.slow
-def test_batch_posteriors_calibrates_days_and_opens_the_results(tmp_path):
-    command = [sys.executable, SCRIPTS / "batch_posteriors.py", "--days", "1", "--out", tmp_path]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=600, check=True)
-    assert "day000-plain" in done.stdout
-    assert "effective samples" in done.stdout
-    assert (tmp_path / "summary.parquet").exists()

@@ -17,7 +17,7 @@ from scripts.studies.judge.intervals import false_intervals, missed_90
 from scripts.studies.judge.sessions import KINDS, ended, hidden_case
 from scripts.studies.judge.statements import Statement
 from scripts.studies.judge.truth import TrueCause, Truth
-from scripts.studies.truthful import judged, line, run_case, show
+from scripts.studies.truthful import judged, line, show
 from tests.estimator.conftest import TRUTH
 from tests.scripts.judged import (
     FLAG,
@@ -317,18 +317,6 @@ def test_each_kind_of_session_has_its_truth(kind, tmp_path):
     assert all(cause.is_known == (cause.name in EFFECTS) for cause in truth.causes)
     assert truth.wrong.any() or kind not in (sessions.ROWS, sessions.PLACES)
     assert (tmp_path / "readings.csv").exists()
-
-
-@pytest.mark.slow
-def test_a_session_is_judged_from_its_readings_on(tmp_path):
-    """All lines that the commands print are read, and judged once more from what was kept, as before."""
-    row = run_case(tmp_path, "single", 900_000)
-    assert row["verdicts"][1] in ("named", "indistinguishable", "unexplained")
-    assert row["unread"] == []
-    assert len(row["statements"]) > 20
-    again = run_case(tmp_path, "single", 900_000)
-    assert again["statements"] == row["statements"]
-    assert again["seconds"] < 0.5 * row["seconds"]
 
 
 def test_false_statements_are_counted_by_kind(capsys):

@@ -2,19 +2,15 @@
 
 from __future__ import annotations
 
-import os
 import shutil
-import signal
-from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from distributed import LocalCluster
 
 from estimator import SamplerSettings
-from estimator.batching import batch, work
+from estimator.batching import work
 from estimator.batching.jobs import jobs_of
 from estimator.batching.result import BatchResult
 from estimator.batching.work import fit, sampled
@@ -24,7 +20,6 @@ from estimator.readings.plan import Plan
 from estimator.rig.rig import Rig
 from estimator.store.session import Session
 from estimator.store.staging import staged
-from tests.estimator.batching.schedulers import free_address, started, stop
 
 SETTINGS = SamplerSettings(n_walkers=16, target_ess=10.0, largest_rhat=2.0, check_every=20)
 
@@ -48,71 +43,6 @@ def contents(result: BatchResult) -> dict[str, bytes]:
     """Every file of every fit and posterior."""
     files = (path for path in result.folder.rglob("*") if path.is_file())
     return {str(path.relative_to(result.folder)): path.read_bytes() for path in files}
-
-
-@pytest.mark.slow
-def test_a_batch_with_workers_killed_ends_with_the_same_bytes_and_again_does_nothing(sessions, tmp_path):
-    with LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address="127.0.0.1:0") as local:
-
-        def ask(out: str, tell: Callable[[int, int, str], None] | None = None) -> BatchResult:
-            return batch(
-                sessions, out=tmp_path / out, settings=SETTINGS, scheduler=local.scheduler_address, tell=tell
-            )
-
-        killed: list[int] = []
-
-        def kill(done: int, _total: int, words: str) -> None:
-            # Once while the other stacks are fitted, once while posteriors are sampled.
-            if (words == "fitted" and not killed) or (words.endswith("sampled") and done == 2):
-                killed.append(next(nanny.pid for nanny in local.workers.values() if nanny.pid))
-                os.kill(killed[-1], signal.SIGKILL)
-
-        disturbed = ask("disturbed", kill)
-        alone = ask("alone")
-        assert len(set(killed)) == 2
-        for result in (disturbed, alone):
-            assert (len(result.names), result.n_new) == (5, 10)
-            assert list(result.failed) == [str(sessions[3])]
-        assert contents(disturbed) == contents(alone)
-        disturbed.save_table(tmp_path / "disturbed")
-        alone.save_table(tmp_path / "alone")
-        tables = [(tmp_path / name / "summary.csv").read_bytes() for name in ("disturbed", "alone")]
-        assert tables[0] == tables[1]
-
-        told: list[str] = []
-        before = {path: path.stat().st_mtime_ns for path in disturbed.folder.rglob("*")}
-        again = ask("disturbed", lambda _done, _total, words: told.append(words))
-        assert (again.names, again.n_new) == (disturbed.names, 0)
-        assert {words for words in told if "failed" not in words} == {"done before"}
-        assert {path: path.stat().st_mtime_ns for path in disturbed.folder.rglob("*")} == before
-
-
-@pytest.mark.slow
-def test_a_scheduler_killed_while_its_worker_lives_leaves_a_batch_of_the_same_bytes(sessions, tmp_path):
-    """The worker, left to itself, may still be writing when another one is given the same job."""
-    address = free_address()
-    scheduler, orphan = started(address)
-    running = [scheduler, orphan]
-    killed: list[str] = []
-
-    def kill(_done: int, _total: int, words: str) -> None:
-        if words == "fitted" or words.endswith("sampled"):
-            what = words.rpartition(" ")[2]
-            if what not in killed:  # once while stacks are fitted, once while posteriors are sampled
-                killed.append(what)
-                stop([running[-2]])
-                running.extend(started(address))
-
-    try:
-        disturbed = batch(
-            sessions, out=tmp_path / "disturbed", settings=SETTINGS, scheduler=address, tell=kill
-        )
-        alone = batch(sessions, out=tmp_path / "alone", settings=SETTINGS, scheduler=address)
-    finally:
-        stop(running)
-    assert killed == ["fitted", "sampled"]
-    assert (len(disturbed.names), list(disturbed.failed)) == (5, [str(sessions[3])])
-    assert contents(disturbed) == contents(alone)
 
 
 def test_a_job_waits_for_another_process_that_samples_it_and_takes_its_posterior(

@@ -23,7 +23,7 @@ from estimator.store.journal import JOURNAL, Journal
 from estimator.store.session import is_growing, load_session
 from tests.estimator.cli.conftest import run
 from tests.estimator.cli.test_rig_simulator import START_S, start
-from tests.program import PROGRAM, ROOT, launched
+from tests.program import PROGRAM, launched
 
 HIDDEN_XY = 0.04
 BUSY = "arm1 failed: "  # by its watchdog, where a busy computer does not kick it five times a second; the same command goes on
@@ -36,23 +36,6 @@ poses:
   calibration:
     arm1: {x_mm: {from: -40, to: 40, count: 3}, y_mm: {from: -40, to: 40, count: 2}, z_mm: {from: -20, to: 20, count: 2}}
 currents_A: [{coil1: 3}, {coil1: -3}]
-"""
-WARM_DEVICES = """\
-devices:
-  hall: {sensor: lakeshore_f71, range_mT: 350, own_temperature: true, serial: /dev/ttyUSB0}
-  coil1:
-    supply: kepco_bop
-    serial: /dev/ttyUSB1
-    compliance_V: 20
-    tolerance_mA: 5
-    lowest_A: -5
-    highest_A: 5
-    slew_A_per_s: 100
-    continuous_A: 5
-    thermal_time_constant_s: 10
-    highest_temperature_C: 80
-  arm1: {arm: ur3e, host: 192.168.0.10, workspace_low_mm: [100, -150, 100], workspace_high_mm: [400, 150, 400], highest_speed_mm_per_s: 250}
-  warmth: {thermometer: lakeshore_224, serial: /dev/ttyUSB2, inputs: {coil1: A}}
 """
 
 
@@ -196,7 +179,14 @@ def test_a_session_that_is_being_measured_is_not_begun_anew_and_its_instruments_
 
 
 @pytest.mark.parametrize(
-    ("how", "code"), [pytest.param(signal.SIGTERM, 143, marks=pytest.mark.slow), (signal.SIGKILL, -9)]
+    ("how", "code"),
+    [
+        *(
+            pytest.param(*each, marks=pytest.mark.slow)
+            for each in ((signal.SIGINT, 130), (signal.SIGTERM, 143))
+        ),
+        (signal.SIGKILL, -9),
+    ],
 )
 def test_an_interrupted_run_leaves_no_current_and_goes_on_with_its_own_plan_only(folder, tmp_path, how, code):
     out = tmp_path / "session.zarr"
@@ -215,31 +205,3 @@ def test_an_interrupted_run_leaves_no_current_and_goes_on_with_its_own_plan_only
     result = run(*[str(plan) if a.endswith("plan.yaml") else a for a in call(folder, out)])
     assert result.exit_code == 2
     assert "must go on with the plan and seed that it began with" in result.stderr
-
-
-@pytest.mark.slow
-def test_what_was_hidden_is_named_after_a_run_that_was_interrupted(folder, tmp_path):
-    out = tmp_path / "session.zarr"
-    program = started(folder, out, 3)
-    os.kill(program.pid, signal.SIGINT)
-    said = program.communicate(timeout=20.0)
-    assert program.returncode == 130, said
-    assert "the same command goes on" in said[1]
-    before = (out / JOURNAL).read_bytes()
-    result = gone_on(folder, out)
-    assert result.exit_code == 0, result.stderr
-    said_json = json.loads(result.stdout)
-    assert 3 <= said_json["stops_of_earlier_runs"] < 24
-    assert (out / JOURNAL).read_bytes().startswith(before)
-    session = load_session(out)
-    assert (len(session.observations), session.hash) == (24, said_json["session_hash"])
-    assert "LSCI,F71" in session.source
-    assert is_off(folder)
-    assert run(*call(folder, out)).exit_code == 2  # it is whole, and nobody asked to replace it
-    command = [*PROGRAM, "diagnose", str(out), "--out", str(tmp_path / "diagnosis"), "--no-posterior"]
-    subprocess.run(command, cwd=ROOT, check=True, capture_output=True, timeout=120.0)
-    found = json.loads((tmp_path / "diagnosis" / "diagnosis.json").read_text(encoding="utf-8"))
-    assert found["verdict"] == "named", found["causes"]
-    assert [cause["name"] for cause in found["causes"]] == ["cross_axis"]
-    xy = found["causes"][0]["parameters"]["xy"]
-    assert abs(xy["median"] - HIDDEN_XY) < 3.5 * xy["sd"], xy

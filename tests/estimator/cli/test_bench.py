@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 from importlib.util import find_spec
 from pathlib import Path
@@ -13,32 +12,10 @@ import torch
 
 from estimator.benchmarks import fields, machine
 from estimator.benchmarks.sessions import RIG
-from estimator.cli.bench import PARTS
 from tests.estimator.cli.conftest import run
 
 CONFIGS = Path(__file__).parents[3] / "configs"
 needs_magpylib = pytest.mark.skipif(find_spec("magpylib") is None, reason="magpylib is not installed")
-
-
-@pytest.mark.slow  # `test_only_takes_some_parts_in_words` runs two
-@pytest.mark.whole
-def test_every_part_has_rows_beside_their_peers():
-    printed = run("bench", "--tiny", "--repeats", 1, "--seed", 150000, "--json")
-    assert printed.exit_code == 0
-    result = json.loads(printed.stdout)
-    assert set(result) == {"machine", "repeats", "seed", "is_tiny", "warnings", "parts"}
-    assert {"processor", "cores", "threads", "load", "python", "coilcal", "torch"} <= set(result["machine"])
-    assert list(result["parts"]) == list(PARTS)
-    for rows in result["parts"].values():
-        for row in rows:
-            assert 0.0 < row["smallest"] == row["median"] == row["largest"]
-    sampling = {row["name"]: row for row in result["parts"]["sampling"]}
-    assert len(sampling) == 3
-    plain = sampling["emcee's stretch move, real loop counts"]
-    for row in sampling.values():
-        assert row["ratio"] == pytest.approx(row["median"] / plain["median"])
-        assert row["largest_rhat"] >= 0.99
-    assert len(result["parts"]["diagnosis"]) == 2
 
 
 def test_a_load_above_half_of_the_cores_is_warned_of(monkeypatch):

@@ -1,11 +1,10 @@
-"""A diagnosis that is killed or stopped goes on with the same command; one that is stopped reports the best it has."""
+"""A diagnosis that is stopped reports the best that it has, and goes on with the same command."""
 
 from __future__ import annotations
 
 import json
 import os
 import signal
-import subprocess
 import time
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -15,7 +14,6 @@ import pytest
 
 from estimator.diagnosis.fit_journal import FITS
 from tests.estimator.cli.conftest import run
-from tests.program import PROGRAM, launched
 
 pytestmark = pytest.mark.whole
 PATIENCE_S = 300.0
@@ -30,19 +28,6 @@ def session(workspace: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-@pytest.fixture(scope="module")
-def undisturbed(session: Path) -> dict[str, Any]:
-    out = session.parent / "undisturbed"
-    _, errors = start(session, out).communicate(timeout=PATIENCE_S)
-    assert "continuing" not in errors
-    return diagnosed(out)
-
-
-def start(session: Path, out: Path) -> subprocess.Popen[str]:
-    call = [*PROGRAM, "diagnose", str(session), "--out", str(out), "--seed", "2", "--no-posterior"]
-    return launched(*call)
-
-
 def diagnosed(out: Path) -> dict[str, Any]:
     return json.loads((out / "diagnosis.json").read_text(encoding="utf-8"))
 
@@ -53,44 +38,21 @@ def has_fits(out: Path, n: int) -> bool:
     return any(len(fits.read_bytes().splitlines()) >= n for fits in kept)
 
 
-def interrupt_after_a_fit(out: Path, number: signal.Signals) -> None:
-    """Send a signal to this process, which diagnoses."""
+def stop_after_a_fit(out: Path) -> None:
+    """End this process, which diagnoses, in an orderly way."""
     end_s = time.monotonic() + PATIENCE_S
     while not has_fits(out, 1):
         assert time.monotonic() < end_s
         time.sleep(0.005)
-    os.kill(os.getpid(), number)
+    os.kill(os.getpid(), signal.SIGTERM)
 
 
-@pytest.mark.slow  # test_fit_journal kills one by the API
-def test_a_killed_diagnosis_goes_on_to_the_same_result(session, undisturbed):
-    out = session.parent / "killed"
-    running = start(session, out)
-    while not has_fits(out, 3):
-        assert running.poll() is None
-        time.sleep(0.005)
-    running.kill()
-    running.communicate()
-    assert not out.exists()
-    again = start(session, out)
-    _, errors = again.communicate(timeout=PATIENCE_S)
-    assert again.returncode == 0
-    assert "coilcal: continuing: " in errors
-    assert diagnosed(out) == undisturbed
-    assert sorted(path.name for path in out.iterdir()) == [
-        "diagnosis.json",
-        "report.html",
-        "rig_extended.yaml",
-    ]
-
-
-@pytest.mark.parametrize("number", [pytest.param(signal.SIGINT, marks=pytest.mark.slow), signal.SIGTERM])
-def test_a_stopped_diagnosis_reports_the_best_it_has_and_goes_on(session, number):
-    """That what goes on ends as one that was let alone is asked above and of the API (test_fit_journal)."""
-    out = session.parent / number.name
+def test_a_stopped_diagnosis_reports_the_best_it_has_and_goes_on(session):
+    """That what goes on ends as one that was let alone is asked of the API (test_fit_journal)."""
+    out = session.parent / "stopped"
     command = ["diagnose", session, "--out", out, "--seed", 2, "--no-posterior"]
     with ThreadPoolExecutor(1) as beside:
-        beside.submit(interrupt_after_a_fit, out, number)
+        beside.submit(stop_after_a_fit, out)
         stopped = run(*command)
     assert stopped.exit_code == 0
     assert "the report of the best so far follows" in stopped.stderr

@@ -12,35 +12,16 @@ from click.testing import CliRunner
 
 from drivers.limits_section import limits_of
 from estimator.cli import init
-from estimator.cli.init import KINDS, QUESTIONS, asked_of
+from estimator.cli.init import asked_of
 from estimator.cli.main import main
 from estimator.cli.simulated_devices import default_devices
-from estimator.errors import InvalidInput
 from estimator.model.room_field import RoomField
 from estimator.model.simulate import draw_truth, simulate
 from estimator.readings.plan import load_plan, observations_of, plan_from_text
 from estimator.rig_files.read import load_rig, rig_from_text
-from estimator.rig_files.set_ups import Kind, defaults_of, texts_of
-from estimator.rig_files.starter import Earth, Motion, Moved, Starter, starter_plan_text, starter_rig_text
+from estimator.rig_files.set_ups import Kind, texts_of
+from estimator.rig_files.starter import Motion, Moved, Starter, starter_plan_text, starter_rig_text
 from tests.estimator.cli.conftest import run
-
-
-@pytest.mark.parametrize("kind", Kind)
-def test_each_question_is_a_field_of_its_set_up(kind):
-    defaults = defaults_of(kind)
-    assert set(asked_of(kind)) <= set(defaults)
-    assert set(defaults) - set(asked_of(kind)) <= {"is_opposed", "moved", "motion"}
-    for key in asked_of(kind):
-        choices = QUESTIONS[key][0]
-        assert (
-            defaults[key] in choices
-            if isinstance(choices, tuple)
-            else choices(defaults[key]) == defaults[key]
-        )
-    assert list(KINDS) == list(Kind)
-    assert [list(QUESTIONS[key][0]) for key in ("moved", "motion", "earth")] == [
-        list(words) for words in (Moved, Motion, Earth)
-    ]
 
 
 @pytest.mark.parametrize("kind", Kind)
@@ -160,21 +141,6 @@ def test_answers_that_make_no_sense_leave_no_file(tmp_path, options, words):
 @pytest.mark.parametrize("name", ["null", "3", "yes"])
 def test_a_name_stays_a_name(name):
     assert rig_from_text(starter_rig_text(Starter(name=name))).name == name
-
-
-def test_a_starter_without_room_is_refused():
-    with pytest.raises(InvalidInput, match="distance_mm from the front face of the coil must be at least"):
-        Starter(radius_mm=400)
-
-
-@pytest.mark.slow
-def test_what_it_writes_can_be_calibrated_at_once(tmp_path):
-    assert run("init", tmp_path).exit_code == 0
-    rig, plan, session = tmp_path / "rig.yaml", tmp_path / "plan.yaml", tmp_path / "trial.zarr"
-    assert run("simulate", "--rig", rig, "--plan", plan, "--out", session).exit_code == 0
-    result = run("calibrate", session, "--out", tmp_path / "trial", "--ess", 200)
-    assert result.exit_code == 0
-    assert result.stdout.startswith("good: ")
 
 
 def test_a_decimal_comma_is_read_and_what_may_be_thousands_is_refused(tmp_path):

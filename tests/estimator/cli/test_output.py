@@ -57,12 +57,6 @@ def test_options_name_numbers():
     assert named_numbers("arm1=0,0,0.1,0,0,-1", "--motion", 6) == ("arm1", [0.0, 0.0, 0.1, 0.0, 0.0, -1.0])
 
 
-@pytest.mark.parametrize("text", ["coil1", "coil1=", "coil1=3 A", "coil1=1,2", "coil1=inf", "3", ""])
-def test_what_is_no_named_number_is_refused(text):
-    with pytest.raises(InvalidInput, match=r"--current must look like NAME=1\.0; received"):
-        named_number([text], "--current")
-
-
 def test_quiet_keeps_progress_back_and_verbose_logs(tmp_path):
     @click.command(cls=CoilcalCommand)
     def long_command() -> None:

@@ -161,8 +161,7 @@ def test_rollback_by_command(small_calibration, tmp_path):
     assert registry.current == 1
 
 
-@pytest.mark.parametrize("number", [signal.SIGTERM, pytest.param(signal.SIGINT, marks=pytest.mark.slow)])
-def test_the_running_service_looks_again_and_ends_cleanly(number, rig_file, tmp_path):
+def test_the_running_service_looks_again_and_ends_cleanly(rig_file, tmp_path):
     inbox = tmp_path / "inbox"
     inbox.mkdir()
     of_another = rig_from_text(TWO_COILS)
@@ -186,7 +185,7 @@ def test_the_running_service_looks_again_and_ends_cleanly(number, rig_file, tmp_
     while not found and time.monotonic() < deadline:
         found = conclusions()
     assert found == ["rejected"]
-    os.kill(running.pid, number)
+    os.kill(running.pid, signal.SIGTERM)
     _, errors = running.communicate(timeout=30)
     assert running.returncode == 0
     *told, stopped = errors.splitlines()

@@ -8,20 +8,18 @@ import pytest
 import torch
 from torch.testing import assert_close
 
-from estimator.diagnosis.corrections.result import Correction
 from estimator.diagnosis.diagnose import diagnose
 from estimator.diagnosis.elsewhere import computed_on
 from estimator.diagnosis.fitting import Fit
 from estimator.diagnosis.hypotheses.candidates import Candidate
 from estimator.diagnosis.limits import Limits
 from estimator.diagnosis.mixture.climb import ask
-from estimator.diagnosis.mixture.correcting import corrected
 from estimator.diagnosis.mixture.expansion import Expansion
 from estimator.diagnosis.mixture.items import Dictionary
 from estimator.diagnosis.result import Diagnosis
 from estimator.rig.rig import Cause, Rig
 from estimator.store.session import Session
-from tests.estimator.diagnosis.small_fits import answered, fit_of, with_wrong
+from tests.estimator.diagnosis.small_fits import fit_of, with_wrong
 from tests.far import far_device
 
 pytestmark = pytest.mark.whole
@@ -73,21 +71,6 @@ def test_items_on_another_device_say_the_same(plain):
     near = weighed(plain)
     with far_device() as far:
         assert_alike(computed_on(far, weighed, plain), near)
-
-
-@pytest.mark.slow
-def test_correction_on_another_device_is_the_same(of_dipole):
-    def corrected_there(fit: Fit) -> Correction:
-        found = answered(fit)
-        return corrected(found, found.plain, found.plain, Limits())
-
-    near = corrected(of_dipole, of_dipole.plain, of_dipole.plain, Limits())
-    assert near.parts
-    with far_device() as far:
-        there = computed_on(far, corrected_there, of_dipole.plain)
-    assert [(part.cause, part.degree) for part in there.parts] == [(p.cause, p.degree) for p in near.parts]
-    assert there.refusal == near.refusal
-    assert there.fit.log_evidence == pytest.approx(near.fit.log_evidence, abs=1e-3)
 
 
 @pytest.mark.slow

@@ -70,16 +70,6 @@ def test_a_killed_diagnosis_goes_on_and_ends_as_if_it_had_not_been(
     assert not (tmp_path / "killed" / FITS).exists()
 
 
-@pytest.mark.slow  # cli/test_diagnose_interrupted stops one by a signal
-def test_without_time_the_best_so_far_is_reported_and_the_next_run_goes_on(session, tmp_path):
-    hasty = diagnose(session, seed=1, out=tmp_path, limits=Limits(minutes=0.0))
-    assert hasty.findings.answer.ended_early
-    assert (tmp_path / FITS).exists()
-    patient = diagnose(session, seed=1, out=tmp_path)
-    assert not patient.findings.answer.ended_early
-    assert {cause.cause.name for cause in patient.causes} & {"sensor_offset", "background_field"}
-
-
 @pytest.mark.parametrize(
     ("at", "words"),
     [

@@ -26,16 +26,11 @@ from estimator.service.backup import backup, restore
 from estimator.service.settings import Settings
 from estimator.store.files import unfinished_name
 from tests.estimator.service.conftest import (
-    LONG,
-    STEPS,
     append,
     begin_session,
-    files_of,
     import_csv,
     numbered,
-    steps_of,
     upload_rig,
-    wait_for,
 )
 
 
@@ -301,31 +296,3 @@ def test_the_commands_say_what_they_did(data, tmp_path):
     assert run("restore", tmp_path / "b.tar", "--data", tmp_path / "restored").exit_code == 2
     (tmp_path / "no.tar").write_bytes(b"no backup")
     assert run("restore", tmp_path / "no.tar", "--data", tmp_path / "other").exit_code == 3
-
-
-@pytest.mark.slow
-def test_a_job_that_ran_during_the_backup_ends_after_a_restore_with_the_same_bytes(
-    served, rig_text, readings_csv, tmp_path
-):
-    service = served()
-    session = import_csv(service.client, upload_rig(service.client, rig_text), readings_csv)
-    body = {"session_id": session["id"], "seed": 5, "settings": LONG}
-    job_id = service.client.post("/v1/jobs/calibrate", json=body).json()["id"]
-    n_backups = 0
-    while steps_of(tmp_path / "data" / "jobs" / job_id) < STEPS:  # at many moments of its work
-        if steps_of(tmp_path / "data" / "jobs" / job_id) > 0:
-            backup(tmp_path / "data", tmp_path / f"{n_backups}.tar")
-            n_backups += 1
-    assert wait_for(service.client, job_id)["state"] == "done"
-    service.end()
-    assert n_backups > 2
-    for number in {0, n_backups // 2, n_backups - 1}:
-        restore(tmp_path / f"{number}.tar", tmp_path / f"restored{number}")
-        other = served(data=tmp_path / f"restored{number}")
-        job = wait_for(other.client, job_id)
-        assert (job["state"], job["fault"]) == ("done", None)
-        other.end()
-        expected, found = (
-            files_of(tmp_path / name / "jobs" / job_id) for name in ("data", f"restored{number}")
-        )
-        assert found == expected

@@ -230,38 +230,6 @@ def test_what_is_awaited_has_the_parameters_of_what_waits(waits, awaits):
             ], name
 
 
-@pytest.mark.slow
-def test_calls_that_are_awaited_go_on_together(served, small_session, small_rig):
-    """Two calibrations are waited for at once while readings are appended; a service that is killed meanwhile is waited for."""
-    service = served()
-    port = int(service.url.rpartition(":")[2])
-    readings = [json.loads(line) for line in lines_of(small_session, small_rig).splitlines()]
-    told: list[Any] = []
-
-    async def there() -> None:
-        async with AsyncClient(service.url) as client:
-            work = [
-                asyncio.create_task(
-                    client.calibrate(small_session, seed=seed, settings=SETTINGS, on_progress=told.append)
-                )
-                for seed in (2, 3)
-            ]
-            session = await client.begin(small_rig, "a stream")
-            assert await session.append(readings[:20]) == 20
-            while not told:
-                await asyncio.sleep(0.01)
-            service.kill()
-            restarted = await asyncio.to_thread(served, "--port", port)
-            assert await session.append(readings[10:]) == len(readings)
-            assert (await session.close())["n_readings"] == len(readings)
-            first, second = await asyncio.gather(*work)
-            assert first.best != second.best
-            assert (await first.rig()) == small_rig
-            restarted.end()
-
-    asyncio.run(there())
-
-
 def test_a_stream_that_breaks_goes_on_after_the_last_event(monkeypatch):
     """Each answer ends inside an event, which is told once, when it comes whole."""
     monkeypatch.setattr(following, "LOOK_EVERY_S", 0.0)

@@ -9,11 +9,10 @@ from pathlib import Path
 import pytest
 from alembic.autogenerate import compare_metadata
 from alembic.migration import MigrationContext
-from alembic.script import ScriptDirectory
 from sqlalchemy import select, text
 from sqlalchemy.exc import IntegrityError
 
-from estimator.service.database import MIGRATIONS, Database, new_id, now
+from estimator.service.database import Database, new_id, now
 from estimator.service.schema import Audit, Base, SessionRow
 
 
@@ -56,26 +55,6 @@ def test_rows_of_the_first_schema_survive_every_migration_since(tmp_path):
         session = db.get_one(SessionRow, "s1")
         assert (session.rig_id, session.n_readings, session.idempotency_key) == ("r1", 36, None)
     database.close()
-
-
-def test_migrations_follow_each_other_one_by_one(tmp_path):
-    scripts = ScriptDirectory(str(MIGRATIONS))
-    database = Database(tmp_path / "back.sqlite")
-    revisions = [script.revision for script in reversed(list(scripts.walk_revisions()))]
-    assert revisions[0] == "0001"
-    for revision in revisions:
-        database.migrate(revision)
-        with database.engine.connect() as connection:
-            assert connection.execute(text("SELECT version_num FROM alembic_version")).scalar() == revision
-    database.close()
-
-
-def test_a_second_migration_changes_nothing(database):
-    with database.writing() as db:
-        db.add(Audit(time=now(), user="u", request_id="r", action="a", target="t"))
-    database.migrate()
-    with database.reading() as db:
-        assert len(db.scalars(select(Audit)).all()) == 1
 
 
 def test_wal_full_synchronisation_and_foreign_keys_are_on(database):

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import threading
-import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -20,7 +18,7 @@ from estimator.rig.rig import Rig
 from estimator.service.tokens import Scope, create_token
 from estimator.store.growing import StopReadings, new_header
 from estimator.store.journal import Journal
-from estimator.store.session import Session, load_session, seal
+from estimator.store.session import Session, seal
 from tests.estimator.service.conftest import until
 
 URL = "http://127.0.0.1:8765"
@@ -183,37 +181,3 @@ def test_a_token_that_only_reads_is_refused_before_anything_is_measured(idle, mo
         connected(URL, None, lambda _: None)
     with pytest.raises(InvalidInput, match="must be an http or https address"):
         connected("ftp://x", None, lambda _: None)
-
-
-@pytest.mark.slow
-def test_a_service_that_is_killed_and_comes_back_gets_every_reading_once(served, small_rig, tmp_path):
-    service = served()
-    port = service.url.rpartition(":")[2]
-    path = tmp_path / "s.zarr"
-    entries = stops(300)
-    told: list[str] = []
-    with begun(path, small_rig) as journal:
-        task = Delivery(path, Client(service.url, attempts=1), service.url, told.append)
-        task.start()
-        n_killed_at: int | None = None
-        for n, entry in enumerate(entries):
-            journal.append(entry)
-            time.sleep(0.005)
-            if n_killed_at is None and task.receipt.n_acknowledged >= 30:
-                n_killed_at = n
-                killing = threading.Thread(target=service.kill)
-                killing.start()
-        killing.join()
-    assert n_killed_at is not None
-    session = seal(path)
-    assert task.finish(1.0).n_acknowledged < len(entries)  # it is gone
-    assert any("must answer" in sentence for sentence in told)
-    service = served("--port", port)
-    task = Delivery(path, Client(service.url, attempts=1), service.url, told.append)
-    task.start()
-    receipt = task.finish(PATIENCE_S)
-    assert receipt.hash == session.hash
-    found = service.client.get("/v1/sessions").json()["items"]
-    assert [(s["id"], s["n_readings"]) for s in found] == [(receipt.session_id, 300)]
-    stored = load_session(tmp_path / "data" / "sessions" / f"{receipt.session_id}.zarr")
-    assert stored.observations.time_s.tolist() == [entry["time_s"] for entry in entries]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import errno
-import json
 import os
 import sqlite3
 import time
@@ -11,22 +10,19 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from unittest.mock import create_autospec
 
-import httpx
 import pytest
 from distributed import Future
 from sqlalchemy import event
-from sqlalchemy.exc import OperationalError
 from starlette.testclient import TestClient
 
 from estimator.batching.engine import Cluster
 from estimator.cli import delivery
 from estimator.cli.delivery import Delivery
-from estimator.client import Client, ServiceFault
-from estimator.errors import InvalidInput
+from estimator.client import Client
 from estimator.service import storage
 from estimator.service.core import Core
 from estimator.service.dispatcher import Dispatcher
-from estimator.service.storage import Storage, shortage
+from estimator.service.storage import Storage
 from estimator.store.growing import observations_of
 from estimator.store.session import load_session, seal
 from tests.estimator.service.conftest import (
@@ -197,29 +193,6 @@ def test_a_disk_that_is_nearly_full_is_not_ready(tmp_path, monkeypatch):
     fault = Storage(tmp_path).fault
     assert fault is not None
     assert (fault.status, "MB are free" in str(fault)) == (507, True)
-
-
-def test_what_the_system_refuses_is_told_from_what_a_client_sent():
-    full, wrong = OSError(errno.ENOSPC, "full"), OSError(errno.ENAMETOOLONG, "long")
-    refused = InvalidInput("session must be writable; s.zarr is not: full")
-    refused.__cause__ = full
-    of_sqlite = sqlite3.OperationalError("database or disk is full")
-    of_sqlite.sqlite_errorcode = sqlite3.SQLITE_FULL
-    wrapped = OperationalError("INSERT", None, of_sqlite)
-    wrapped.__cause__ = of_sqlite
-    statuses = [None if (p := shortage(e)) is None else p.status for e in (full, refused, wrapped, wrong)]
-    assert statuses == [507, 507, 507, None]
-    assert shortage(InvalidInput("x must be > 0; received -1")) is None
-
-
-@pytest.mark.parametrize("status", [408, 429, 500, 503, 507])
-def test_the_client_takes_no_such_answer_as_final(status):
-    answer = httpx.Response(status, content=json.dumps({"detail": "service must have room"}))
-    with (
-        Client("http://x", transport=httpx.MockTransport(lambda _: answer), attempts=1) as client,
-        pytest.raises(ServiceFault),
-    ):
-        client.request("GET", "/v1/state")
 
 
 def test_a_full_disk_at_the_client_holds_up_the_receipt_and_nothing_else(

@@ -7,7 +7,6 @@ import signal
 import threading
 import time
 from pathlib import Path
-from typing import Any
 
 import httpx
 import pytest
@@ -15,7 +14,6 @@ import pytest
 from estimator.store.session import load_session
 from tests.estimator.service.conftest import (
     LONG,
-    QUICK,
     STEPS,
     Served,
     append,
@@ -117,47 +115,3 @@ def test_jobs_end_after_kills_with_the_bytes_of_those_that_were_let_alone(
     assert results[0] == results[1]
     assert results[0]["sampling"]["steps"] == STEPS
     service.end()
-
-
-@pytest.mark.slow
-def test_recalibrations_and_batches_go_on_after_kills(served, rig_text, readings_csv, tmp_path):
-    """A recalibration leaves one entry however often it was begun; a batch does what is missing."""
-    service = served()
-    client = service.client
-    rig_id = upload_rig(client, rig_text)
-    session = import_csv(client, rig_id, readings_csv)
-    bodies = {
-        "recalibrate": {"session_id": session["id"], "settings": QUICK},
-        "batch": {"session_ids": [session["id"]], "settings": QUICK, "hypotheses": ["plain", "axis_gain"]},
-    }
-    ids = [client.post(f"/v1/jobs/{kind}", json=body).json()["id"] for kind, body in bodies.items()]
-    for job_id in ids:
-        path = tmp_path / "data" / "jobs" / job_id / "progress.jsonl"
-        while not path.exists():
-            time.sleep(0.005)
-        service.kill()
-        service = served()
-        client = service.client
-    jobs = [wait_for(client, job_id) for job_id in ids]
-    assert [(job["state"], job["fault"]) for job in jobs] == [("done", None)] * 2
-    assert [job["starts"] > 1 for job in jobs] == [True, True]
-    state = client.get(f"/v1/rigs/{rig_id}/registry").json()
-    assert (state["current"], state["n_versions"], state["n_entries"]) == (1, 1, 1)
-    fits = client.get(f"/v1/jobs/{ids[1]}/result").json()["result"]["fits"]
-    assert [fit["hypothesis"] for fit in fits] == ["plain", "axis_gain"]
-    service.end()
-
-
-@pytest.mark.slow
-def test_a_service_that_is_told_to_end_hands_its_job_to_the_next(served, rig_text, readings_csv, tmp_path):
-    service = served()
-    client = service.client
-    session = import_csv(client, upload_rig(client, rig_text), readings_csv)
-    body: dict[str, Any] = {"session_id": session["id"], "settings": {**QUICK, "target_ess": 3000.0}}
-    job_id = client.post("/v1/jobs/calibrate", json=body).json()["id"]
-    while steps_of(tmp_path / "data" / "jobs" / job_id) < 50:
-        time.sleep(0.005)
-    assert service.end() == -signal.SIGTERM
-    service = served()
-    job = wait_for(service.client, job_id)
-    assert (job["state"], job["starts"]) == ("done", 2)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import time
 from collections.abc import Callable
 from datetime import UTC, datetime, timedelta
@@ -12,14 +11,10 @@ import pytest
 from sqlalchemy import select, update
 from starlette.testclient import TestClient
 
-from estimator.service.app import create_app
-from estimator.service.backup import backup, restore
 from estimator.service.job_queue import JobQueue
 from estimator.service.schedules import next_run
 from estimator.service.schema import Job, Schedule, SessionRow
-from estimator.service.settings import Settings
-from tests.estimator.service.conftest import PATIENCE_S, begin_session, import_csv, refusal, until, upload_rig
-from tests.estimator.service.test_webhooks import Receiver
+from tests.estimator.service.conftest import begin_session, import_csv, refusal, upload_rig
 
 
 def schedule(cron: str | None = None, every_s: int | None = None, timezone: str = "UTC") -> Schedule:
@@ -201,31 +196,3 @@ def test_a_full_queue_is_waited_for(idle, rig_text, readings_csv):
     assert tick(client) == 0
     end_job(client)
     assert tick(client) == 1
-
-
-@pytest.mark.slow
-def test_a_schedule_makes_a_calibration_that_a_webhook_hears_of_and_a_backup_holds(
-    tmp_path, rig_text, readings_csv
-):
-    receiver = Receiver()
-    app = create_app(Settings(data=tmp_path / "data", workers=1, webhook_networks=("127.0.0.0/8",)))
-    try:
-        with TestClient(app, base_url="http://127.0.0.1:8765") as client:
-            client.post("/v1/webhooks", json={"url": receiver.url})
-            rig_id = upload_rig(client, rig_text)
-            session = import_csv(client, rig_id, readings_csv)
-            client.post(f"/v1/schedules/{made(client, rig_id)['id']}/run")
-            until(lambda: receiver.got, PATIENCE_S)
-            told = json.loads(receiver.got[0][1])["data"]
-            assert (told["kind"], told["state"], told["fault"]) == ("recalibrate", "done", None)
-            assert (told["session_id"], told["result"]["conclusion"]) == (session["id"], "updated")
-    finally:
-        receiver.close()
-    backup(tmp_path / "data", tmp_path / "backup.tar")
-    restore(tmp_path / "backup.tar", tmp_path / "restored")
-    app = create_app(Settings(data=tmp_path / "restored"), has_workers=False)
-    with TestClient(app, base_url="http://127.0.0.1:8765") as client:
-        registry = client.get(f"/v1/rigs/{rig_id}/registry").json()
-        assert (registry["current"], registry["n_entries"]) == (1, 1)
-        summary = client.get(f"/v1/calibrations/{registry['calibration_id']}/summary").json()
-        assert summary["session_hash"] == session["hash"]

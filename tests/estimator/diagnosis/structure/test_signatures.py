@@ -3,7 +3,7 @@ from __future__ import annotations
 import pytest
 import torch
 
-from estimator.diagnosis.structure.signatures import _are_flat, leading, signatures, words
+from estimator.diagnosis.structure.signatures import _are_flat, leading, signatures
 from tests.estimator.diagnosis.sessions import plain_fit
 
 pytestmark = pytest.mark.whole
@@ -70,10 +70,3 @@ def test_the_residual_stays_with_what_is_wrong(hidden, answer):
 
 def test_with_one_current_parity_is_not_asked():
     assert signatures(plain_fit(currents_A=(3.0,))).current is None
-
-
-def test_every_answer_has_words():
-    signature = signatures(plain_fit())
-    for evidence in (signature.stays_with, signature.current, signature.field_equations):
-        assert evidence
-        assert all(len(words(answer)) > len(answer) for answer in evidence)
