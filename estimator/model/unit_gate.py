@@ -213,8 +213,8 @@ def _warnings(
         )
     elif given.correlation < GOOD_PATTERN:
         told.append(
-            f"Fields correlate with the rig's nominal model by {given.correlation:.2f} only: a place, a size, a frame or a sign may be "
-            f"wrong; coilcal diagnose looks for the cause ({where})."
+            f"{'The other fields' if given.far else 'Fields'} correlate with the rig's nominal model by {given.correlation:.2f} only: a "
+            f"place, a size, a frame or a sign may be wrong; coilcal diagnose looks for the cause ({where})."
         )
     elif not 1.0 / USUAL_RATIO < given.ratio < USUAL_RATIO:
         told.append(

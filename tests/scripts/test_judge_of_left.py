@@ -187,6 +187,9 @@ def test_readings_are_said_to_be_far_from_the_nominal_model_only_where_they_are(
     assert are_true(told(words, truth=hidden(wrong=(2, 3))), "far_lines") == [False]
     off_T[2:4] = 0.1
     assert are_true(told(words, truth=hidden(wrong=(2, 3))), "far_lines") == [True]
+    words = f"{words}\nThe other fields correlate with the rig's nominal model by 0.99 only: a place may be wrong (readings.csv)."
+    assert are_true(told(words, truth=ONLY_GAIN), "correlation") == [True]
+    assert are_true(told(words.partition("\n")[2], truth=ONLY_GAIN), "correlation") == [False]
     off_T[:] = 0.0
     words = "Fields correlate with the rig's nominal model by {} only: a place may be wrong (readings.csv)."
     assert are_true(told(words.format("0.99"), truth=ONLY_GAIN), "correlation") == [True]

@@ -74,7 +74,8 @@ def nothing_wrong(case: Case, text: str, match: re.Match[str]) -> Iterator[State
     excluded = false_intervals(case.plain, case.truth) if "mend" in text else {}
     is_true = not (visible or wrong or excluded)
     why = "; ".join([f"hidden: {case.truth.words}", f"wrong rows left: {wrong}", *excluded.values()])
-    yield Statement("nothing_wrong", DIAGNOSE, text, is_true, why)
+    stated = size_of(match["sure"]) if match["sure"] else None
+    yield Statement("nothing_wrong", DIAGNOSE, text, is_true, why, stated=stated)
 
 
 @sentence(r"would have shown, for example, (?P<what>.+)\.$")

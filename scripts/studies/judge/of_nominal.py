@@ -8,21 +8,22 @@ from collections.abc import Iterator
 import numpy as np
 
 from estimator.model.measurement_model import nominal_tensors
-from scripts.studies.judge.case import Case
+from scripts.studies.judge.case import CALIBRATE_TEXT, Case
 from scripts.studies.judge.handed_out import HandedOut
 from scripts.studies.judge.reading import Readers
 from scripts.studies.judge.statements import Statement, size_of
 
 CALIBRATE = "calibrate"
 FAR = 5.0  # times the median misfit: a line that is said to be far is at least as far off
-NEAR = 0.03  # of a correlation, for which few readings are left out
+NEAR = 0.03  # of a correlation, for which readings that are as far off as others may be left out
 REVERSING = ("axes_swapped", "left_handed", "displacement_frame", "current_sign")
+FAR_LINES = (
+    r"^Lines? (?P<lines>[\d, ]+\d)(?: and (?P<more>\d+) more)?: much farther from the rig's nominal model"
+)
 sentence = Readers()
 
 
-@sentence(
-    r"^Lines? (?P<lines>[\d, ]+\d)(?: and \d+ more)?: much farther from the rig's nominal model than the others"
-)
+@sentence(FAR_LINES)
 def far_lines(case: Case, text: str, match: re.Match[str]) -> Iterator[Statement]:
     """Lines of the table that are far off: each of those named is."""
     number = case.observations.line
@@ -39,21 +40,26 @@ def far_lines(case: Case, text: str, match: re.Match[str]) -> Iterator[Statement
     yield Statement("far_lines", CALIBRATE, text, is_true, f"far: {is_far.tolist()}")
 
 
-@sentence(r"^Fields correlate with the rig's nominal model by (?P<correlation>−?-?[\d.]+) only")
+@sentence(
+    r"^(?:Fields|(?P<other>The other) fields) correlate with the rig's nominal model by (?P<correlation>−?-?[\d.]+) only"
+)
 def correlation(case: Case, text: str, match: re.Match[str]) -> Iterator[Statement]:
-    """How well patterns agree, and that something may be wrong: nothing may in a clean session."""
+    """How well patterns agree, without lines that are called far, and that something may be wrong: nothing may in a clean session."""
     nominal_T, measured_T = _nominal_and_measured_T(case)
-    off_T = np.linalg.norm(measured_T - nominal_T, axis=1)
-    values = [
-        _cosine(nominal_T[near], measured_T[near])
-        for near in (off_T >= 0.0, off_T <= np.quantile(off_T, 0.95))
-    ]
-    printed = size_of(match["correlation"])
-    is_true = min(values) - NEAR <= printed <= max(values) + NEAR
-    why = f"from the readings {values[0]:.3g}, without the farthest twentieth {values[1]:.3g}"
+    n_far = _n_far(case) if match["other"] else 0
+    near = np.linalg.norm(measured_T - nominal_T, axis=1).argsort()[: len(nominal_T) - n_far]
+    true = _cosine(nominal_T[near], measured_T[near])
+    is_true = abs(size_of(match["correlation"]) - true) < NEAR
+    why = f"from the readings {true:.3g}, without the farthest {n_far}"
     if case.truth is not None:
         is_true, why = is_true and not case.truth.is_clean, f"{why}; hidden: {case.truth.words}"
     yield Statement("correlation", CALIBRATE, text, is_true, why)
+
+
+def _n_far(case: Case) -> int:
+    """Number of lines that are called far."""
+    told = [re.match(FAR_LINES, line) for line in case.lines(CALIBRATE_TEXT)]
+    return sum(match["lines"].count(",") + 1 + int(match["more"] or 0) for match in told if match)
 
 
 @sentence(r"^Fields point against the rig's nominal model: a current or an axis may be reversed")

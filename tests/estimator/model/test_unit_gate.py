@@ -70,6 +70,9 @@ def test_fields_in_the_frame_of_the_base_are_no_degrees(readings):
     field_T = (world_from_sensor @ readings.field_sensor_T[..., None])[..., 0]
     (told,) = check_units(rig(), readings.with_field(field_T), "a.csv")
     assert told.startswith("Fields correlate with the rig's nominal model by 0.")
+    far, others = check_units(rig(), with_row(readings.with_field(field_T), 5, 1.0), "a.csv")
+    assert far.startswith("Reading 6: much farther")
+    assert others.startswith("The other fields correlate with the rig's nominal model by 0.")
 
 
 @pytest.mark.parametrize("holder_mm", [-30.0, 25.0, 60.0])
