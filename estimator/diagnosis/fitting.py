@@ -239,18 +239,18 @@ class Fit:
             name: Of the parameter.
             covariance: Of the coordinates; that of the fit by default.
         """
-        gradient = self._value_gradients[name]
+        gradient = self.value_gradients[name]
         if covariance is None:
             covariance = self.covariance
         return float(torch.sqrt(gradient @ covariance @ gradient))
 
     def difference_sd(self, plus: str, minus: str) -> float:
         """Standard deviation of one parameter minus another of the same unit, to first order."""
-        gradient = self._value_gradients[plus] - self._value_gradients[minus]
+        gradient = self.value_gradients[plus] - self.value_gradients[minus]
         return float(torch.sqrt(gradient @ self.covariance @ gradient))
 
     @cached_property
-    def _value_gradients(self) -> dict[str, Float[Tensor, " coordinate"]]:
+    def value_gradients(self) -> dict[str, Float[Tensor, " coordinate"]]:
         """Gradient of every number of the rig in the coordinates."""
         values = self.posterior.coordinates.values
         gradients = jacobian_of(lambda vector: torch.stack(list(values(vector).values())), self.vector)

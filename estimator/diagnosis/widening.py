@@ -12,6 +12,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from estimator.calibration.policy import FAR_SD
 from estimator.diagnosis.fitting import Fit
 from estimator.diagnosis.structure.jackknife import jackknife_covariance
 from estimator.inference.lattice import MOST_EFFECTIVE
@@ -44,10 +45,11 @@ class Widening:
 
     @classmethod
     def of(cls, searched: Fit, final: Fit, names: Sequence[str], spread: Float[Tensor, "n n"]) -> Widening:
-        """The smallest covariance that is nowhere below three others, and nowhere beyond the priors.
+        """The smallest covariance that is nowhere below three others, and nowhere beyond the priors of numbers that these allow.
 
         These are: the Laplace covariance of the fit; what the mixture says of the rig's numbers, carried to the other numbers as the fit
-        ties them to these; and the jackknife over blocks of places and of times, for a wrong model errs where it guesses.
+        ties them to these; and the jackknife over blocks of places and of times, for a wrong model errs where it guesses. A number that the
+        fit puts far outside its prior may still lie inside.
 
         Args:
             searched: The extended rig, fitted to the readings of the search.
@@ -62,7 +64,8 @@ class Widening:
         carried = final.covariance + following @ growth @ following.T
         places = pose_blocks(searched.observations, np.random.default_rng(0))
         jackknives = [jackknife_covariance(searched, b) for b in (places, time_blocks(searched.observations))]
-        return cls(final, within_prior(final, envelope(final.covariance, carried, *jackknives)))
+        within = within_prior(final, envelope(final.covariance, carried, *jackknives))
+        return cls(final, envelope(final.covariance, within, *back_to_priors(final, names)))
 
     @cached_property
     def factors(self) -> dict[str, float]:
@@ -113,6 +116,25 @@ def within_prior(fit: Fit, covariance: Float[Tensor, "n n"]) -> Float[Tensor, "n
     excess, axes = torch.linalg.eigh(wide.T @ prior_precision @ wide)
     narrowed = wide @ (axes / torch.sqrt(excess.clamp(min=1.0)))
     return envelope(fit.covariance, narrowed @ narrowed.T)
+
+
+def back_to_priors(fit: Fit, names: Sequence[str]) -> list[Float[Tensor, "n n"]]:
+    """Covariances by which each number that lies far from its prior may be off by as much, and the others as they follow it.
+
+    A model that is wrong pulls numbers away: the prior is then more probable than the fit says.
+
+    Args:
+        fit: The fit.
+        names: Of the numbers.
+    """
+    result = []
+    for name in names:
+        prior, value = fit.rig.parameters[name].prior, float(fit.values[name])
+        if prior is not None and abs(prior.distance(value)) > FAR_SD:
+            gradient = fit.value_gradients[name]
+            moved = fit.covariance @ gradient * (value - prior.centre) / fit.value_sd(name) ** 2
+            result.append(torch.outer(moved, moved))
+    return result
 
 
 def have_whole_counts(rig: Rig, draws: Mapping[str, np.ndarray]) -> bool:

@@ -11,13 +11,14 @@ from estimator.diagnosis.corrections.kinds import kinds_of
 from estimator.diagnosis.fitting import Fit
 from estimator.diagnosis.mixture.numbers import Numbers
 from estimator.diagnosis.structure.jackknife import jackknife_covariance
-from estimator.diagnosis.widening import LEAST_SHARE, Widening, envelope, within_prior
+from estimator.diagnosis.widening import LEAST_SHARE, Widening, back_to_priors, envelope, within_prior
 from estimator.readings.metrics import HALF_WIDTH_90
 from estimator.readings.split import pose_blocks, time_blocks
 from estimator.rig.coordinates import Coordinates
 from estimator.rig.rig import Cause, Rig
 from estimator.rig_files.read import rig_from_text
 from estimator.store.session import Session
+from tests.estimator.conftest import RIG
 from tests.estimator.diagnosis.small_fits import fit_of
 
 RADIUS, COUNT = "coil1.radius_m", "coil1.axial_loops"
@@ -108,6 +109,19 @@ def test_no_widening_says_less_than_the_priors_do_nor_more_than_the_fit(fit):
             assert share.min() > -1e-6 * max(1.0, float(share.max()))
     torch.testing.assert_close(within_prior(fit, fit.covariance), fit.covariance, rtol=1e-8, atol=0.0)
     assert float((wide.diagonal() / within.diagonal()).max()) > 100.0
+
+
+def test_a_number_that_the_fit_puts_far_from_its_prior_may_be_where_that_expects_it(fit, small_session):
+    height = "coil1.world_from_coil0.z_m"
+    expected = "z_mm: {prior: {normal: {mean: -32, sd: 1}}}"
+    text = RIG.replace("z_mm: {prior: {normal: {mean: -40, sd: 3}}}", expected)
+    pulled = fit_of(rig_from_text(text), small_session.observations)
+    names = pulled.posterior.coordinates.names
+    away_m = float(pulled.values[height]) + 0.032
+    assert away_m < -4e-3
+    wide = Widening.of(pulled, pulled, names, pulled.covariance)
+    assert pulled.value_sd(height, wide.covariance) == pytest.approx(abs(away_m), rel=0.1)
+    assert not back_to_priors(fit, fit.posterior.coordinates.names)
 
 
 def test_envelope_is_in_no_direction_surer_than_either():
