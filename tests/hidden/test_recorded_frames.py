@@ -32,7 +32,7 @@ def test_fields_in_the_axes_of_the_base_are_named():
     assert gain["before"]["vector_T"] > 500e-6
 
 
-@pytest.mark.parametrize("holder_mm", [20, 35, 50])
+@pytest.mark.parametrize("holder_mm", [20, 50])
 def test_a_sensor_elsewhere_on_its_holder_is_no_mistake_of_the_record(holder_mm):
     """At 50 mm the nominal place of the sensor is in the winding at three poses."""
     diagnosis = diagnose(imported(f"holder_{holder_mm}mm"), seed=1)

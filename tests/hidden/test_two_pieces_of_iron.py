@@ -20,6 +20,7 @@ PLACE_TOLERANCE_M = 6e-3
 
 
 @pytest.mark.whole
+@pytest.mark.slow  # the next one has both names
 def test_both_pieces_are_named_where_they_are(tmp_path):
     hidden = draw_case("outside", SEED)
     hidden.write(tmp_path)

@@ -1,18 +1,26 @@
-"""`coilcal acquire --until` with simulated instruments: ends when the question is answered, goes on after a kill, is shown later."""
+"""`coilcal acquire --until` with simulated instruments: ends when the question is answered, and after kills takes the same stops, with no current."""
 
 from __future__ import annotations
 
 import json
+import os
+import random
+import signal
 import subprocess
+import sys
 import time
 from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
 
+from estimator.cli.output import EXIT_DEVICE
 from estimator.store.journal import JOURNAL, read_journal
-from estimator.store.session import is_growing, load_session
+from estimator.store.made import END
+from estimator.store.session import load_session
 from tests.estimator.cli.conftest import refused, run
+from tests.estimator.cli.killed_inside import Instant
 from tests.estimator.cli.test_acquire import (
     bring_home,
     call,
@@ -22,8 +30,7 @@ from tests.estimator.cli.test_acquire import (
     quicker,
     running,
 )
-from tests.estimator.cli.test_rig_simulator import START_S
-from tests.program import PROGRAM, ROOT
+from tests.program import launched
 
 GOAL = "field 0.5 % in box x_mm=-20:20 y_mm=-20:20 z_mm=-10:10"
 UNTIL = ("--until", GOAL, "--longest-settle", "0.5")
@@ -36,6 +43,10 @@ poses:
     arm1: {x_mm: {from: -40, to: 40, count: 3}, y_mm: {from: -40, to: 40, count: 3}, z_mm: {from: -20, to: 20, count: 2}}
 currents_A: [{coil1: 3}, {coil1: -3}, {}]
 """
+OFF_S = 10.0
+HELD_OUT = 7  # the first stop that is
+BEFORE_STORED = (Instant.DECIDING, Instant.DECIDED, Instant.ARRIVED, Instant.READ, Instant.TORN)
+N_RANDOM = 15  # beside 15 chosen ones
 
 
 @pytest.fixture(scope="module")
@@ -47,25 +58,14 @@ def folder(tmp_path_factory: pytest.TempPathFactory, rig_text: str) -> Iterator[
 
 
 @pytest.mark.flaky(reruns=2)
-def test_a_killed_session_goes_on_with_the_same_decisions_until_its_goal(folder, tmp_path):
+def test_it_ends_when_the_question_is_answered_and_is_shown_later(folder, tmp_path):
     bring_home(folder)
     out = tmp_path / "session.zarr"
-    program = subprocess.Popen([*PROGRAM, *call(folder, out, *UNTIL)], cwd=ROOT, stderr=subprocess.PIPE)
-    deadline_s = time.monotonic() + START_S
-    while not (out / JOURNAL).exists() or (out / JOURNAL).read_bytes().count(b"\n") < 4:
-        assert program.poll() is None, program.stderr and program.stderr.read()
-        assert time.monotonic() < deadline_s
-        time.sleep(0.02)
-    program.kill()
-    program.communicate()
-    assert is_growing(out)
-    before = read_journal(out)[1]
     result = gone_on(folder, out, *UNTIL)
     assert result.exit_code == 0, result.stderr
     shown = json.loads(result.stdout)
     assert shown["ended"]["reason"].startswith("goal reached, also by")
     header, entries = read_journal(out)
-    assert entries[: len(before)] == before
     assert header["goals"] == [GOAL]
     assert shown["stops"] == len(entries) == len(load_session(out).observations)
     assert is_off(folder)
@@ -125,3 +125,110 @@ def test_a_goal_out_of_reach_is_refused_before_an_instrument_is_opened(folder, t
 def test_neither_plan_nor_goal_is_refused(folder, tmp_path):
     files = (folder / "rig.yaml", "--devices", folder / "devices.yaml", "--out", tmp_path / "s.zarr")
     assert "must be given a PLAN to carry out, or goals with --until" in refused(run("acquire", *files))
+
+
+@dataclass(frozen=True)
+class Interrupted:
+    """A measurement that is killed again and again, beside one that was let alone.
+
+    Attributes:
+        folder: Rig, places and instruments.
+        alone: The session that was let alone.
+        out: The other one.
+        most_stops: Of each.
+    """
+
+    folder: Path
+    alone: Path
+    out: Path
+    most_stops: int
+
+    def to(self, instant: Instant, number: int) -> None:
+        """Go on, and be killed at an instant; again where the computer was too busy for an instrument."""
+        while (end := _ended(self._program(instant, number)))[0] != -signal.SIGKILL:
+            assert end[0] == EXIT_DEVICE, (instant, number, end)
+        self.check()
+
+    def some_time(self, n_more: int, later_s: float) -> None:
+        """Go on, and be killed from outside some time after so many stops more."""
+        running, n_before = self._program(Instant.NEVER, 0), self.n_stored
+        while running.poll() is None and self.n_stored < n_before + n_more:
+            time.sleep(0.01)
+        time.sleep(later_s)
+        os.kill(running.pid, signal.SIGKILL)
+        _ended(running)
+        self.check()
+
+    def to_the_end(self) -> None:
+        """Go on without a kill."""
+        while (end := _ended(self._program(Instant.NEVER, 0)))[0] != 0:
+            assert end[0] == EXIT_DEVICE, end
+        assert stops(self.out) == stops(self.alone)
+        assert (self.out / END).read_bytes() == (self.alone / END).read_bytes()
+        assert len(load_session(self.out).observations) == len(load_session(self.alone).observations)
+
+    def check(self) -> None:
+        """No current flows soon after a kill, and what is stored is as in the other session."""
+        deadline_s = time.monotonic() + OFF_S
+        while not is_off(self.folder):
+            assert time.monotonic() < deadline_s
+        assert stops(self.out) == stops(self.alone)[: self.n_stored]
+
+    @property
+    def n_stored(self) -> int:
+        """Number of stops on the disk."""
+        return len(stops(self.out))
+
+    def _program(self, instant: Instant, number: int) -> subprocess.Popen[str]:
+        arguments = call(self.folder, self.out, *UNTIL, "--most-stops", self.most_stops)
+        kill = ["-m", "tests.estimator.cli.killed_inside", instant, str(number), str(self.alone)]
+        command = [sys.executable, *kill, *arguments]
+        return launched(*command)
+
+
+def _ended(running: subprocess.Popen[str]) -> tuple[int, str]:
+    """Exit code of a measurement, and what it said."""
+    _, said = running.communicate()
+    assert "Traceback" not in said, said
+    return running.returncode, said
+
+
+def stops(out: Path) -> list[str]:
+    """What was decided and measured, stop by stop, without what a clock says."""
+    told = ("decision", "is_validation", "repeat", "current_A", "motion", "field_T")
+    entries = read_journal(out)[1] if (out / JOURNAL).exists() else []
+    return [json.dumps({key: entry[key] for key in told}) for entry in entries]
+
+
+def interrupted(folder: Path, tmp_path: Path, most_stops: int) -> Interrupted:
+    """A session that was let alone, and what is to be compared with it."""
+    bring_home(folder)
+    alone = tmp_path / "alone.zarr"
+    while (end := run(*call(folder, alone, *UNTIL, "--most-stops", most_stops))).exit_code != 0:
+        assert end.exit_code == EXIT_DEVICE, end.stderr
+    return Interrupted(folder, alone, tmp_path / "killed.zarr", most_stops)
+
+
+@pytest.mark.flaky(reruns=2)
+def test_killed_while_it_stores_and_ends_a_session_takes_the_same_stops(folder, tmp_path):
+    session = interrupted(folder, tmp_path, HELD_OUT + 2)
+    session.to(Instant.TORN, HELD_OUT)
+    session.to(Instant.ENDED, HELD_OUT + 2)
+    session.to_the_end()
+
+
+@pytest.mark.slow
+def test_killed_at_30_instants_a_session_takes_the_same_stops(folder, tmp_path):
+    session, draw = interrupted(folder, tmp_path, 100), random.Random(58)
+    n_stops = len(stops(session.alone))
+    first = [(BEFORE_STORED[n % len(BEFORE_STORED)], n) for n in range(HELD_OUT)]
+    for instant, number in (*first, *((instant, HELD_OUT) for instant in (*BEFORE_STORED, Instant.STORED))):
+        session.to(instant, number)
+    for _ in range(N_RANDOM):
+        if session.n_stored < n_stops - 4:
+            session.some_time(1, 0.3 * draw.random())
+        else:  # while it begins
+            session.some_time(0, 2.0 * draw.random())
+    session.to(Instant.ENDED, n_stops)
+    session.to(Instant.SEALING, n_stops)
+    session.to_the_end()

@@ -7,8 +7,10 @@ import json
 import re
 import shlex
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 
+import pytest
 from click.testing import CliRunner
 from distributed import LocalCluster
 
@@ -18,19 +20,25 @@ from estimator.store.importers.readings_csv import write_readings_csv
 from estimator.store.session import load_session
 
 
-def test_good_sessions_are_calibrated_beside_a_bad_one(small_session, tmp_path):
-    small_session.save(tmp_path / "good.zarr")
-    (tmp_path / "bad.zarr").mkdir()
-    out = tmp_path / "out"
+@pytest.fixture(scope="module")
+def scheduler() -> Iterator[str]:
+    """Address of one whose worker is a thread of this process."""
     with LocalCluster(
         n_workers=1, threads_per_worker=1, processes=False, dashboard_address="127.0.0.1:0"
     ) as local:
-        arguments = [str(tmp_path / name) for name in ("good.zarr", "bad.zarr")]
-        words = "--posterior none --json --ess 123 --seed 4 --hypothesis plain --hypothesis axis_gain"
-        options = ["--out", str(out), *words.split(), "--scheduler", local.scheduler_address]
-        result = CliRunner().invoke(main, ["batch", *arguments, *options])
-        options.remove("--json")
-        again = CliRunner().invoke(main, ["batch", *arguments, *options])
+        yield local.scheduler_address
+
+
+def test_good_sessions_are_calibrated_beside_a_bad_one(small_session, scheduler, tmp_path):
+    small_session.save(tmp_path / "good.zarr")
+    (tmp_path / "bad.zarr").mkdir()
+    out = tmp_path / "out"
+    arguments = [str(tmp_path / name) for name in ("good.zarr", "bad.zarr")]
+    words = "--posterior none --json --ess 123 --seed 4 --hypothesis plain --hypothesis axis_gain"
+    options = ["--out", str(out), *words.split(), "--scheduler", scheduler]
+    result = CliRunner().invoke(main, ["batch", *arguments, *options])
+    options.remove("--json")
+    again = CliRunner().invoke(main, ["batch", *arguments, *options])
     assert result.exit_code == again.exit_code == 2
     found = json.loads(result.stdout)
     assert (found["fits"], found["sampled"], found["new"]) == (2, 0, 2)
@@ -61,7 +69,7 @@ def test_without_dask_one_sentence_says_what_to_install(monkeypatch, tmp_path):
     )
 
 
-def test_a_table_is_imported_with_its_recipe_and_calibrated(small_session, rig_text, tmp_path):
+def test_a_table_is_imported_with_its_recipe_and_calibrated(small_session, rig_text, scheduler, tmp_path):
     small, rig = tmp_path / "small.csv", tmp_path / "rig.yaml"
     rig.write_text(rig_text, encoding="utf-8")
     write_readings_csv(small_session, small)
@@ -76,7 +84,7 @@ def test_a_table_is_imported_with_its_recipe_and_calibrated(small_session, rig_t
 
     def failed(*options: str) -> dict[str, str]:
         tables = [str(tmp_path / f"{name}.csv") for name in ("small", "other", "broken")]
-        shared = ["--out", str(tmp_path / "out"), "--posterior", "none", "--json", "--workers", "1"]
+        shared = ["--out", str(tmp_path / "out"), "--posterior", "none", "--json"]
         result = CliRunner().invoke(main, ["batch", *tables, *shared, *options])
         assert result.exit_code == 2
         found = json.loads(result.stdout)
@@ -85,10 +93,10 @@ def test_a_table_is_imported_with_its_recipe_and_calibrated(small_session, rig_t
     nothing = failed()
     assert nothing["fits"] == 0
     assert all("name it with --rig" in nothing[f"{name}.csv"] for name in ("small", "other", "broken"))
-    without = failed("--rig", str(rig))
+    without = failed("--rig", str(rig), "--scheduler", scheduler)
     assert without["fits"] == 1
     assert "--map must say how its columns are read" in without["other.csv"]
-    given = failed("--rig", str(rig), "--map", str(tmp_path / "columns.yaml"))
+    given = failed("--rig", str(rig), "--map", str(tmp_path / "columns.yaml"), "--workers", "1")
     assert set(given) == {"broken.csv", "small.csv", "fits"}
     stored = load_session(tmp_path / "out/sessions/other.zarr")
     assert stored.observations.is_validation.any()

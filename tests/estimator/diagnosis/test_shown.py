@@ -8,17 +8,12 @@ import pytest
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from estimator.diagnosis.diagnose import diagnose
 from estimator.errors import InvalidInput
-from estimator.rig.rig import Cause
-from tests.estimator.diagnosis.small_fits import with_wrong
 
 pytestmark = pytest.mark.whole
 
 
-def test_a_diagnosis_is_shown_in_ten_lines_and_plots(small_rig, small_session):
-    flawed = with_wrong(small_rig, small_session.observations, Cause("sensor_offset", "hall"), {"x_T": 2e-4})
-    diagnosis = diagnose(replace(small_session, observations=flawed), seed=1)
+def test_a_diagnosis_is_shown_in_ten_lines_and_plots(diagnosis):
     lines = repr(diagnosis).splitlines()
     assert lines[0].startswith("Diagnosis of 'small', ")
     assert len(lines) <= 10
