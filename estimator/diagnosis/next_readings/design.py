@@ -110,8 +110,10 @@ def design(
     session.check_rig(rig)
     check_readings(rig, session.observations, session.source)
     observations = session.observations.calibration
-    if not split:  # standard deviations are to be those of a calibration
-        rig = with_everywhere(rig, observations).rig
+    causes = [cause_of(text, rig) for text in split]
+    everywhere = with_everywhere(rig, observations)
+    if not {*causes} & {*everywhere.added}:  # noise is to be that of a calibration
+        rig = everywhere.rig
     on_count(FITTING, 0, 1 + len(split))
     base = fit_rig(rig, observations, {}, MeasurementModel.build(rig, observations).rules, effort.MORE_STARTS)
     programmes: list[Proposal] = []
@@ -131,7 +133,6 @@ def design(
         rows, values = best_to_shrink(base, [shrink], stops, n_readings, on_count)
         goal, unit = f"shrink {shrink}", rig.parameters[shrink].unit
     else:
-        causes = [cause_of(text, rig) for text in split]
         hypotheses: dict[str, Fit] = {}
         for cause in causes:
             on_count(FITTING, 1 + len(hypotheses), 1 + len(causes))

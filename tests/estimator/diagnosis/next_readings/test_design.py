@@ -74,6 +74,15 @@ def test_a_field_of_the_room_that_a_calibration_fits_is_not_taken_for_noise():
     assert [beside.so_far, *beside.reached] == pytest.approx([without.so_far, *without.reached], rel=0.1)
 
 
+def test_a_field_of_the_room_is_no_noise_for_causes_that_are_to_be_told_apart():
+    gain, earth = ("axis_gain.x", 0.01), (("background_field.x_T", 60e-6), ("background_field.z_T", 60e-6))
+    without, beside = (
+        design(session_with(hidden, (3.0, 1.5), 1), split=("axis_gain", "element_displacement"), n_readings=3)
+        for hidden in ((gain,), (gain, *earth))
+    )
+    assert [beside.so_far, *beside.reached] == pytest.approx([without.so_far, *without.reached], rel=0.1)
+
+
 @pytest.mark.parametrize(
     ("goals", "words"),
     [
