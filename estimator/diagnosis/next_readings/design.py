@@ -27,6 +27,7 @@ from estimator.model.measurement_model import MeasurementModel
 from estimator.model.preflight import check_readings
 from estimator.readings.observations import Observations
 from estimator.readings.plan import plan_text
+from estimator.reporting.numbers import quantity_words, size_with_unit
 from estimator.rig.rig import Cause, Rig
 from estimator.store.session import Session
 
@@ -91,7 +92,7 @@ def design(
     Args:
         session: Readings so far.
         split: Two or more causes, as `cause` or `cause[place]`, to be told apart. Each has its fitted size where the session shows it,
-            else a size of eight standard deviations.
+            else one of eight standard deviations, or of three of its prior where these are less; the goal in words says so.
         shrink: A parameter of the rig whose interval is to shrink.
         correction: A correction, as `coil_harmonics[coil1]`, whose amplitudes are to be determined by a map.
         degree: Highest degree of its terms.
@@ -134,21 +135,25 @@ def design(
         goal, unit = f"shrink {shrink}", rig.parameters[shrink].unit
     else:
         hypotheses: dict[str, Fit] = {}
+        supposed: list[str] = []
         for cause in causes:
             on_count(FITTING, 1 + len(hypotheses), 1 + len(causes))
-            hypotheses[cause.label] = _fit_with(base, cause)
+            hypotheses[cause.label], size = _fit_with(base, cause)
+            supposed += [f"{cause.label} {size}"] if size else []
         stops = candidate_stops(observations)
         rows, values = best_to_split(hypotheses, stops, n_readings, on_count)
         programmes = proposals(hypotheses, actions(observations, rig), on_count)
         goal = f"tell {' from '.join(hypotheses)}"
+        if supposed:
+            goal += f", supposing {' or '.join(supposed)}, which the readings do not show"
     readings = stops.rows(rows)
     text = plan_text(goal, rig, readings, observations.pace_s)
     so_far, *reached = values.tolist()
     return Design(goal, unit, tuple(programmes), readings, so_far, tuple(reached), text)
 
 
-def _fit_with(base: Fit, cause: Cause) -> Fit:
-    """The fit with a cause; where the readings hardly show it, with a size that they would show."""
+def _fit_with(base: Fit, cause: Cause) -> tuple[Fit, str]:
+    """The fit with a cause; where the readings hardly show it, with a size that they would show, which is told in words."""
     if cause in base.rig.effects:
         raise InvalidInput(f"{cause.label} must not be in the rig already to be told from another")
     pool = candidates(base, [cause])
@@ -158,7 +163,7 @@ def _fit_with(base: Fit, cause: Cause) -> Fit:
     rig = with_effect(base.rig, cause, base.observations, best.shapes)
     fit = fit_rig(rig, base.observations, base.start_with(rig), base.posterior.model.rules)
     if fit.log_evidence - base.log_evidence > policy.CLEAR_LOG_EVIDENCE:
-        return fit
+        return fit, ""
     visible = base.projector.rest(best.columns).norm(dim=0) * best.prior_sd
     strongest = int(visible.argmax())
     if float(visible[strongest]) < NEARLY_NOTHING:
@@ -169,4 +174,5 @@ def _fit_with(base: Fit, cause: Cause) -> Fit:
     key = best.keys[strongest]
     null = {q.key: q.null for q in EFFECTS[cause.name].quantities(base.circumstances.extent)}[key]
     start = {**base.start_with(rig), f"{cause.label}.{key}": null + size}
-    return Fit(fit.posterior, fit.optimum.at(fit.posterior.coordinates.vector(start)))
+    supposed = f"{quantity_words(key)} of {size_with_unit(size, best.units[strongest])}"
+    return Fit(fit.posterior, fit.optimum.at(fit.posterior.coordinates.vector(start))), supposed

@@ -83,6 +83,18 @@ def test_a_field_of_the_room_is_no_noise_for_causes_that_are_to_be_told_apart():
     assert [beside.so_far, *beside.reached] == pytest.approx([without.so_far, *without.reached], rel=0.1)
 
 
+def test_a_size_that_the_readings_do_not_show_is_told_as_supposed():
+    shown = design(
+        session_with((("axis_gain.x", 0.03),), (3.0,), 1), split=("axis_gain", "cross_axis"), n_readings=1
+    )
+    supposed = "supposing cross_axis[hall] "
+    assert supposed in shown.goal
+    assert supposed in shown.plan
+    assert "supposing axis_gain" not in shown.goal
+    clean = design(session_with((), (3.0,), 1), split=("axis_gain", "cross_axis"), n_readings=1)
+    assert "supposing axis_gain[hall] " in clean.goal
+
+
 @pytest.mark.parametrize(
     ("goals", "words"),
     [
