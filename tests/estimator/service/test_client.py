@@ -295,3 +295,22 @@ def test_a_service_that_is_busy_is_asked_again_when_it_says(monkeypatch):
         answers.append(httpx.Response(500, content=b"<html>"))
         with pytest.raises(ServiceFault, match="service must answer as coilcal does; it says 500"):
             client.request("GET", "/v1/state")
+
+
+def test_a_pause_that_is_awaited_lets_others_go_on():
+    answers, order = [httpx.Response(503), httpx.Response(200, json={})], []
+
+    async def there() -> None:
+        async def asks() -> None:
+            await client.request("GET", "/v1/state")
+            order.append("asks")
+
+        async def waits() -> None:
+            order.append("waits")
+
+        transport = httpx.MockTransport(lambda _: answers.pop(0))
+        async with AsyncClient("http://service", transport=transport) as client:
+            await asyncio.gather(asks(), waits())
+
+    asyncio.run(there())
+    assert order == ["waits", "asks"]
