@@ -162,7 +162,9 @@ def _understood(paths: tuple[Path, ...], rig: Rig, recipe: Recipe, yes: bool, is
     from estimator.store.importers.forms.understand import understood
 
     if len(paths) != 1:
-        raise InvalidInput(f"the format readings takes one file; received {len(paths)}")
+        raise InvalidInput(
+            f"the format readings takes one file, each row with place, currents and field; received {len(paths)}: put them into one"
+        )
     read = understood(paths[0], rig, recipe)
     if read.proposal is not None:
         settle(paths[0], read, yes or recipe.is_whole, is_asked)

@@ -68,11 +68,16 @@ def _type_of(kind: type | tuple[str, ...]) -> Any:
     return _Number() if kind is float else kind
 
 
+def _flag(key: str) -> str:
+    """The option that answers a question."""
+    return f"--{key.replace('_', '-').lower()}"
+
+
 def _options(command: Callable[..., Any]) -> Callable[..., Any]:
     """One option for each question."""
     for key, (kind, words) in reversed(QUESTIONS.items()):
         command = click.option(
-            f"--{key.replace('_', '-').lower()}",
+            _flag(key),
             key,
             type=_type_of(kind),
             help=f"{words}.",
@@ -113,7 +118,9 @@ def init_command(
     asked = asked_of(kind)
     for key in given:
         if key not in asked:
-            raise InvalidInput(f"--{key.replace('_', '-').lower()} is no answer for --kind {kind}")
+            raise InvalidInput(
+                f"{_flag(key)} is no answer for --kind {kind}, which takes {', '.join(map(_flag, asked))}"
+            )
     rig_text, plan_text = _texts(kind, given, is_asked)
     rig = rig_from_text(rig_text, str(rig_path))
     plan = plan_from_text(plan_text, rig, str(plan_path))

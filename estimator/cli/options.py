@@ -117,5 +117,7 @@ def truth_option(default: str) -> Decorator:
         "--truth",
         "True parameter values: 'prior' draws them from the rig's priors, 'nominal' takes the rig's values, anything else is a "
         "JSON file {parameter: SI value}.",
+        click.Path(),
         default=default,
+        metavar="TEXT",
     )

@@ -183,7 +183,7 @@ def keep_apart(ctx: click.Context) -> None:
         for given in value if isinstance(value, tuple) else (value,):
             if isinstance(parameter.type, OutputPath) and given is not None:
                 outputs.append((given, parameter.type))
-            elif isinstance(given, str | Path) and os.path.lexists(given):
+            elif isinstance(parameter.type, click.Path) and given is not None and os.path.lexists(given):
                 inputs.append(Path(given))
     for n, (output, kind) in enumerate(outputs):
         for other, _ in outputs[:n]:

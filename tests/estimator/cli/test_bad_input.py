@@ -46,7 +46,8 @@ REFUSALS = {
     f"{IMPORT} --out session.zarr": f"{EXISTS} session.zarr",
     f"{IMPORT} --out new.zarr --current coil1=3": "coil1_current must be given once; the file has it, and a constant too (readings.csv)",
     f"{IMPORT} --out new.zarr --current coil1": "--current must look like NAME=1.0; received 'coil1'",
-    f"{IMPORT} readings.csv --out new.zarr": "the format readings takes one file; received 2",
+    f"{IMPORT} readings.csv --out new.zarr": "the format readings takes one file, each row with place, currents and field; "
+    "received 2: put them into one",
     "import no.csv --rig rig.yaml --out new.zarr": "no.csv must be readable as text: No such file or directory",
     "import session.zarr --rig rig.yaml --out new.zarr": "session.zarr must be readable as text: Is a directory",
     "import rig.yaml --rig rig.yaml --out new.zarr": "rig.yaml must hold a header and rows of numbers; "

@@ -100,6 +100,20 @@ def test_a_script_is_not_asked_and_gets_what_it_gave(tmp_path):
     assert "must not exist yet, or be replaced with --overwrite" in again.stderr
 
 
+def test_an_option_of_another_set_up_is_refused_with_those_that_it_takes(tmp_path):
+    result = run("init", tmp_path / "new", "--kind", "helmholtz", "--moved", "sensor")
+    assert result.exit_code == 2
+    told = "--moved is no answer for --kind helmholtz, which takes --name, --radius-mm, --wire-radius-mm, "
+    assert told in result.stderr
+    assert "--distance-mm" not in result.stderr
+
+
+def test_a_word_that_is_the_name_of_the_folder_too_is_no_path_that_is_read(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    for more in ([], ["--overwrite"]):
+        assert run("init", "solenoid", "--kind", "solenoid", "--name", "solenoid", *more).exit_code == 0
+
+
 def test_whoever_sits_at_a_terminal_is_asked_for_the_rest(monkeypatch, tmp_path):
     monkeypatch.setattr(init, "can_ask", lambda: True)
     of_rest = [""] * (len(asked_of("stage")) - 4)
