@@ -6,7 +6,7 @@ import re
 
 from estimator.errors import listed, quoted
 from estimator.store.importers.forms.assigner import MOST_LISTED, Assigner
-from estimator.store.importers.forms.headings import Target
+from estimator.store.importers.forms.headings import Target, words_of
 from estimator.store.importers.forms.recipe import AND
 from estimator.store.importers.forms.units import split_file_unit
 from estimator.units import UNITS
@@ -14,6 +14,7 @@ from estimator.units import UNITS
 ROUND = frozenset(
     ["r", "rho", "radius", "phi", "theta", "azimuth", "br", "brho", "bphi", "btheta"]
 )  # headings of cylindrical coordinates
+STRENGTH = frozenset(("abs", "absolute", "norm", "total", "magnitude", "modulus", "betrag"))
 LONG = frozenset(("axis", "component", "direction"))  # headings that say which component a row holds
 
 
@@ -38,9 +39,7 @@ def check_missing(assigner: Assigner, quantities: set[str]) -> None:
         if target.role == "field" and target.quantity in quantities
     ]
     if not fields:
-        assigner.refuse(
-            "columns must include a component of the field (Bx, By, Bz); none is one: name it with --column 'HEADER=Bz_UNIT'"
-        )
+        _refuse_fields(assigner)
     if (
         len(rig.sensors) > 1
         and "sensor" not in quantities
@@ -76,6 +75,31 @@ def _refuse_missing(assigner: Assigner, target: Target) -> None:
             together = AND.join([like.name, like.name.replace(like.quantity, target.quantity)])
             words += f"; in series with another coil: --column '{like.header}={together}'"
     assigner.refuse(f"columns must include {name}; {words}")
+
+
+def _refuse_fields(assigner: Assigner) -> None:
+    """Say which columns may be a component of the field, or that a strength is none."""
+    of_fields = {
+        assigner.text(index): heading
+        for index, heading in enumerate(assigner.headings)
+        if index in assigner.free() and heading.unit is not None and heading.unit.dimension == "field"
+    }
+    strengths = [
+        text
+        for text, heading in of_fields.items()
+        if "|" in heading.what or STRENGTH & set(words_of(heading.what))
+    ]
+    components = [text for text in of_fields if text not in strengths]
+    if components:
+        unit = of_fields[components[0]].unit
+        assert unit is not None
+        words = f"it may be {' or '.join(map(quoted, components[:MOST_LISTED]))}: say along which axis of the sensor with --column "
+        words += f"'{components[0]}=Bz_{unit.symbol}'"
+    elif strengths:
+        words = f"{quoted(strengths[0])} is a strength without direction or sign: read components"
+    else:
+        words = "none is one: name it with --column 'HEADER=Bz_UNIT'"
+    assigner.refuse(f"columns must include a component of the field (Bx, By, Bz); {words}")
 
 
 def _check_axes(assigner: Assigner, quantities: set[str]) -> None:

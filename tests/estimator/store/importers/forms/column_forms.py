@@ -55,8 +55,14 @@ OF_COLUMNS = [
         columns(f"{PLACES},B (uT)", *TABLE.T[:5], BZ),
         False,
         ALONG_Z,
-        {"B": "uT"},
-        tells="must include a component of the field",
+        tells="it may be 'B (uT)': say along which axis of the sensor with --column 'B (uT)=Bz_uT'",
+    ),
+    Form(
+        "strength.csv",
+        columns(f"{PLACES},|B| (uT)", *TABLE.T[:5], np.abs(BZ)),
+        False,
+        answer=text(),
+        tells="'|B| (uT)' is a strength without direction or sign: read components",
     ),
     Form(
         "no_time.csv",

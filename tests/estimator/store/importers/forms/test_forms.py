@@ -53,7 +53,7 @@ def refusal(result: Result) -> str:
 
 def followed(sentence: str, form: Form) -> list[str]:
     """The option that a sentence proposes; what only the user knows stands in the form. Empty where it asks for another file."""
-    if match := re.search(r"in series --column '([^']+)'", sentence):
+    if match := re.search(r"(?:in series|of the sensor with) --column '([^']+)'", sentence):
         return ["--column", match[1]]
     if "HEADER" in sentence and (match := re.search(r"--constant (\w+)=(\w+)", sentence)):
         return ["--constant", f"{match[1]}={form.units.get(match[2], match[2])}"]
