@@ -218,8 +218,8 @@ def _warnings(
         )
     elif not 1.0 / USUAL_RATIO < given.ratio < USUAL_RATIO:
         told.append(
-            f"Fields are {given.ratio:.3g} times those of the rig's nominal model: the unit of fields or of currents, or the number of "
-            f"turns, may be wrong ({where})."
+            f"Fields are {given.ratio:.3g} times those of the rig's nominal model: the unit of fields or of currents, the number of turns, "
+            f"or a distance, may be wrong ({where})."
         )
     return told
 
