@@ -105,7 +105,10 @@ def _count(entries: Sequence[Entry]) -> str:
 
 
 def _sentence(entry: Entry) -> str:
-    return entry.reason[:1].upper() + entry.reason[1:] + "."
+    """The reason as a sentence; the name of a cause keeps its small letter."""
+    is_named = "_" in entry.reason.partition(" ")[0]
+    begin = entry.reason[:1] if is_named else entry.reason[:1].upper()
+    return f"{begin}{entry.reason[1:]}."
 
 
 def _date(text: str) -> str:

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from estimator.calibration.result import Calibration
-from estimator.recalibration.history_report import _warnings
+from estimator.recalibration.history_report import _sentence, _warnings
 from estimator.recalibration.log import Entry
 from estimator.recalibration.registry import Registry
 
@@ -61,6 +61,11 @@ def test_a_drift_is_not_warned_of_after_its_version_was_rolled_back(registry, sm
         registry.commit(DRIFT, small_calibration)
         registry.roll_back(1)
     assert _warnings(registry, registry.entries()) == []
+
+
+def test_the_name_of_a_cause_is_written_as_the_rig_file_has_it():
+    assert _sentence(replace(DRIFT, reason="iron_body (2 cm³)")) == "iron_body (2 cm³)."
+    assert _sentence(AGREES) == "Agrees."
 
 
 def test_calibrations_that_did_not_converge_are_warned_of(registry, small_calibration):
