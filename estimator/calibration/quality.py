@@ -170,12 +170,10 @@ def tensions(parameters: Iterable[Parameter], values: Mapping[str, float]) -> li
             show = shown[parameter.name]
             size, middle = (f"{number * show.factor:.4g}" for number in (value, parameter.prior.centre))
             words = f"{show.words} is {size} {show.unit}".rstrip()
-            far.append(
-                (
-                    abs(distance_sd),
-                    f"{words} where {middle} is expected, {distance_sd:+.1f} widths of its prior.",
-                )
-            )
+            how_far = f"{distance_sd:+.1f} widths of its prior"
+            if is_noise and parameter.prior.centre > 0.0:
+                how_far = f"{value / parameter.prior.centre:.2g} times as much"
+            far.append((abs(distance_sd), f"{words} where {middle} is expected, {how_far}."))
     return [words for _, words in sorted(far, reverse=True)]
 
 

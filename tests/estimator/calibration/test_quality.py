@@ -10,7 +10,7 @@ import torch
 from click.testing import CliRunner
 
 from estimator.calibration.calibrate import calibrate
-from estimator.calibration.quality import condition
+from estimator.calibration.quality import condition, tensions
 from estimator.calibration.report import calibration_report
 from estimator.calibration.residual_groups import residual_groups
 from estimator.calibration.summary import _prior_tension
@@ -142,6 +142,8 @@ def test_a_noise_is_far_from_its_prior_where_it_is_too_large(factor, told):
     )
     draws = {name: np.full((1, 2), value) for name, value in rig.nominal_values().items()}
     assert list(_prior_tension(rig, draws | {"hall.noise_T": np.full((1, 2), factor * 1e-5)})) == told
+    sentences = tensions(rig.free, rig.nominal_values() | {"hall.noise_T": factor * 1e-5})
+    assert sentences == (["noise is 40 µT where 10 is expected, 4 times as much."] if told else [])
 
 
 def test_a_number_far_from_its_prior_is_suspect(small_plan, small_truth):
