@@ -11,7 +11,7 @@ from estimator.calibration.figures import pictures
 from estimator.calibration.residual_groups import residual_groups
 from estimator.calibration.result import Calibration
 from estimator.calibration.sentences import sampling_words, verdict_sentences, warning_sentences
-from estimator.reporting.numbers import displays, microtesla, percent, size_with_unit, to_digit_of
+from estimator.reporting.numbers import Display, displays, microtesla, percent, size_with_unit, to_digit_of
 from estimator.reporting.page import ReportPage, Table, render_report
 from estimator.rig.bodies import EquivalentSourceCoil, UnwoundCoil
 from estimator.rig.rig import Rig
@@ -67,8 +67,7 @@ def _tables(calibration: Calibration) -> list[Table]:
         prior = parameter.prior if parameter is not None else None
         row = [
             split_quotient(name)[0],
-            show.with_sd(numbers["median"], numbers["sd"]),
-            show.interval(numbers["ci90"], numbers["sd"]),
+            *_median_and_interval(numbers, show),
             show.unit or "1",
             show.with_sd(prior.centre, prior.sd) if prior else "derived",
         ]
@@ -89,6 +88,14 @@ def _tables(calibration: Calibration) -> list[Table]:
     if len(calibration.rig.sensors) > 1:
         tables.append(_sensor_table(summary))
     return tables
+
+
+def _median_and_interval(numbers: Mapping[str, Any], show: Display) -> tuple[str, str]:
+    """Median with standard deviation and 90 % interval; counts as whole numbers."""
+    if not show.unit and all(float(value).is_integer() for value in (numbers["median"], *numbers["ci90"])):
+        low, high = numbers["ci90"]
+        return f"{numbers['median']:.0f} ± {numbers['sd']:.2g}", f"{low:.0f} to {high:.0f}"
+    return show.with_sd(numbers["median"], numbers["sd"]), show.interval(numbers["ci90"], numbers["sd"])
 
 
 def _amplitude_table(

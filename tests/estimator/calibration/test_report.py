@@ -55,6 +55,10 @@ def test_ends_of_an_interval_have_the_digits_of_the_median(text):
     assert float(low) < float(median) < float(high)
 
 
+def test_loop_counts_are_whole_numbers(text):
+    assert re.search(r"coil1.axial_loops \d+ ± [\d.]+ \d+ to \d+ 1 ", text)
+
+
 def test_a_stored_calibration_gives_the_page_it_gave_when_it_was_made(small_calibration, text, tmp_path):
     small_calibration.save(tmp_path)
     assert as_text(Calibration.load(tmp_path)) == text
