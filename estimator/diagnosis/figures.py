@@ -14,7 +14,7 @@ from estimator.diagnosis.fitting import Fit
 from estimator.diagnosis.part_by_part import part_by_part
 from estimator.diagnosis.result import Diagnosis
 from estimator.diagnosis.statements.hypotheses import role_of
-from estimator.diagnosis.statements.residuals import around_coils, sigma_T
+from estimator.diagnosis.statements.residuals import around_coils, is_extended, sigma_T
 from estimator.diagnosis.structure.covariates import Covariate, predicted_T, residual_T
 from estimator.diagnosis.structure.residual_tests import N_NOISE_DRAWS
 from estimator.effects.corrections.correction import KEY
@@ -43,10 +43,10 @@ def _maps(diagnosis: Diagnosis) -> Iterator[Picture]:
         coil, is_on, position_m = around.coil, around.is_on.numpy(), around.position_m.numpy()
         winding = round_winding_of(extended.rig, coil, extended.values)
         words = "Magnitude of the residual vector at the sensor's positions, in the coil's frame"
-        if extended.rig.effects:
+        if is_extended(diagnosis):
             yield Picture(
                 f"Residual around {coil.name}, before and after",
-                f"{words}; both maps share one colour scale. After the extension (below) it should look like noise.",
+                f"{words}; both maps share one colour scale. After the extension it should look like noise.",
                 plots.before_and_after_map(
                     position_m, before_T[is_on], after_T[is_on], winding, one_sigma, title
                 ),
@@ -65,11 +65,14 @@ def budget_pictures(diagnosis: Diagnosis) -> Iterator[Picture]:
     if budget is None:
         return
     shares = {diagnosis.label(cause): (s.value, s.ci90) for cause, s in budget.causes.items()}
-    roles = [role_of(diagnosis, cause) for cause in budget.causes]
+    corrected = (
+        () if diagnosis.fits.correction is None else [part.cause for part in diagnosis.fits.correction.parts]
+    )
+    roles = [plots.Role.LEFT if cause in corrected else role_of(diagnosis, cause) for cause in budget.causes]
     if len(budget.causes) > 1:
         shares["shared by several"] = (budget.shared.value, budget.shared.ci90)
         roles.append(plots.Role.OTHER)
-    shares["left"] = (budget.left.value, budget.left.ci90)
+    shares["not explained"] = (budget.left.value, budget.left.ci90)
     orders = "" if budget.has_all_orders else ", as wide as two orders differ"
     yield Picture(
         "Error budget",
@@ -155,7 +158,7 @@ def _along(diagnosis: Diagnosis, before: Covariate, after: Covariate) -> Iterato
     factor, unit = _display(before.unit, before.by_reading)
     label = f"{before.name} ({unit})" if unit != "1" else before.name
     fits = {"before": (diagnosis.fits.plain, before)}
-    if diagnosis.fits.extended.rig.effects:
+    if is_extended(diagnosis):
         fits["after"] = (diagnosis.fits.extended, after)
     drawn = {
         when: plots.residual_against(
@@ -188,11 +191,10 @@ def _ranking(diagnosis: Diagnosis) -> Iterator[Picture]:
             if hypothesis.cause is not None:
                 roles[label] = role_of(diagnosis, hypothesis.cause, comparison.taken)
         stated = diagnosis.label(comparison.taken[0]) if comparison.taken else None
-        words = f"{title} is stated." if stated else "What more there may be, beside all that leads."
+        words = f"in the place of {title}, which is stated" if stated else "as one cause more"
         yield Picture(
             f"Hypotheses, comparison {number}",
-            "Log Bayes factor of each cause, and of a departure that no list holds, against nothing wrong, beside everything else that "
-            f"leads. {words}",
+            f"Each hypothesis {words}, with all other leading causes in the model: its log Bayes factor over “nothing wrong”.",
             plots.evidence_bars(evidence, stated, roles, title=title),
         )
 

@@ -153,8 +153,10 @@ def found_tables(diagnosis: Diagnosis) -> Iterator[Table]:
         "it better than either quantity. What stands with (prior) is mostly what its prior says."
     )
     yield from _sizes_tables(diagnosis, [c for c in sure if c not in before], "What was found", caption)
-    known = "Quantities of the causes that were fitted before anything was asked: those of the rig file, and what no laboratory is without."
-    yield from _sizes_tables(diagnosis, [c for c in sure if c in before], "What was there anyway", known)
+    known = "Fitted before any other cause was tried: causes that the rig file states, and the field and zeros that every laboratory has."
+    yield from _sizes_tables(
+        diagnosis, [c for c in sure if c in before], "Causes of the rig as described", known
+    )
 
 
 def stand_in_tables(diagnosis: Diagnosis) -> Iterator[Table]:

@@ -169,8 +169,8 @@ def validation_tables(diagnosis: Diagnosis) -> Iterator[Table]:
     caption = (
         f"The expected log predictive density (elpd) changes by {improvement.elpd_difference:+.1f} ± {improvement.elpd_se:.1f} "
         "(standard error over readings). The columns in 50 % and in 90 % give the share of components inside those predictive intervals; "
-        "the mean angle is over readings with a current. The first error is that of the field that predict gives; the other numbers are "
-        "with all that only these readings have."
+        "the mean angle is over readings with a current. The first error is that of the field that predict gives; the other numbers "
+        "include what acts on these readings alone."
     )
     if correction is not None:
         caption += f" {correction.words(diagnosis.label)}"

@@ -34,8 +34,7 @@ def hypotheses_tables(diagnosis: Diagnosis) -> Iterator[Table]:
                 ]
                 for h in listed
             ],
-            "Log Bayes factors are against nothing wrong, beside all other causes and departures that lead, by the readings that were "
-            "asked.",
+            "Log Bayes factors are over “nothing wrong”, with all other leading causes and departures in the model.",
         )
 
 

@@ -8,6 +8,7 @@ from estimator.diagnosis.mixture.comparison import NOTHING
 from estimator.diagnosis.mixture.found import Found
 from estimator.diagnosis.result import Diagnosis
 from estimator.diagnosis.statements.gain import misses
+from estimator.diagnosis.statements.residuals import is_extended
 from estimator.diagnosis.structure.pull import pull_of
 from estimator.diagnosis.verdict import UNKNOWN
 from estimator.effects import EFFECTS
@@ -202,7 +203,7 @@ def evidence(diagnosis: Diagnosis) -> Iterator[str]:
 def symptoms_tables(diagnosis: Diagnosis) -> Iterator[Table]:
     """Tests of the residual before and after the extension."""
     rows = [["before", sentence] for sentence in diagnosis.fits.before.sentences()]
-    if diagnosis.fits.extended.rig.acting:
+    if is_extended(diagnosis):
         rows += [["after", sentence] for sentence in diagnosis.fits.after.sentences()]
     caption = "Tests of the residual of the readings that were fitted."
     yield Table("Symptoms", ["model", "residual"], rows, caption)
@@ -217,6 +218,5 @@ def limits_tables(diagnosis: Diagnosis) -> Iterator[Table]:
         "Corrections that other readings would allow",
         ["correction", "meaning", "what these readings lack"],
         [[label, EFFECTS[label.partition("[")[0]].words, lack] for label, lack in correction.limits.items()],
-        "They were asked to a lower degree or not at all, whatever they have to do with what is left. For those that want other places "
-        "coilcal design --map proposes some.",
+        "These readings allow them to a lower degree only, or not at all. Where places are lacking, coilcal design --map proposes some.",
     )

@@ -72,8 +72,8 @@ def _moved_table(diagnosis: Diagnosis) -> Table:
         "Parameters that the extension moves",
         ["parameter", "before", "after", "unit", "moved (sd)"],
         rows,
-        "Parameters of the rig that lie elsewhere by more than one standard deviation of the plain fit. Those that the extended rig knows "
-        f"clearly less well are said to be {NO_LONGER_DETERMINED}: that it puts them elsewhere does not say that they were wrong.",
+        "Parameters of the rig that lie elsewhere by more than one standard deviation of the plain fit. What the extended rig knows "
+        f"clearly less well is marked as {NO_LONGER_DETERMINED}: its shift does not mean that it was wrong.",
     )
 
 

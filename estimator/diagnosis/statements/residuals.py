@@ -44,6 +44,11 @@ def around_coils(diagnosis: Diagnosis) -> Iterator[Around]:
         yield Around(coil, rows, position_m[rows], coil_from_sensor[rows])
 
 
+def is_extended(diagnosis: Diagnosis) -> bool:
+    """Whether the extended rig has causes or corrections that the rig as described has not."""
+    return diagnosis.fits.extended.rig.acting != diagnosis.fits.plain.rig.acting
+
+
 def sigma_T(fit: Fit) -> Float[Tensor, "reading 3"]:
     """Noise of each component of each reading, as the fit has it."""
     with torch.no_grad():

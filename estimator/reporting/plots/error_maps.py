@@ -20,7 +20,7 @@ from estimator.reporting.plots.field_map import draw_winding
 from estimator.reporting.plots.style import BLACK, ERROR_MAP, SIDE_AND_DATA, WINDING_EDGE, figure, styled
 
 Vectors = Float[np.ndarray, "reading 3"]
-SMALLEST_DISC = 0.015  # of a panel's width: places nearly in a line have cells that nobody would see
+SMALLEST_DISC = 0.03  # of a panel's width: places nearly in a line have cells that nobody would see
 CELLS_ACROSS = 24
 MOST_LAYERS = 40
 SAME_LAYER = 0.01

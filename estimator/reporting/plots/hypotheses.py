@@ -24,7 +24,7 @@ BINS = 12
 
 COLOUR = {
     Role.NAMED: style.BLUE,
-    Role.ALTERNATIVE: style.PALE,
+    Role.ALTERNATIVE: style.INSIDE_95,
     Role.STAND_IN: style.PURPLE,
     Role.OTHER: style.GREY,
     Role.LEFT: style.ORANGE,
@@ -111,7 +111,7 @@ def error_budget(
     ax.axvline(0.0, color=style.BLACK, lw=0.6)
     ax.set_xlabel("share of the squared error beyond the noise, unseen readings (%)")
     ax.set_title(plain(title))
-    _legend(ax, list(roles))
+    _legend(ax, [role for role in roles if role is not Role.OTHER])
     return ax
 
 

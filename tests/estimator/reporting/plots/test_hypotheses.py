@@ -45,6 +45,9 @@ def test_names_alternatives_unsure_ones_and_what_is_left_are_groups_apart_that_a
     assert [text.get_text() for text in legend.get_texts()] == [*Role, "within 20 to 1 of the best"]
     stated = next(text for text in ax.texts if "stated" in text.get_text())
     assert stated.xy[1] == ax.get_yticks()[0]
+    assert (
+        len(set(bars(ax)[1].get_facecolor()[:3])) > 1
+    )  # an alternative is not as grey as the band behind it
 
 
 def test_points_lie_on_the_line_where_everything_is_explained():
@@ -91,7 +94,7 @@ def test_error_budget_shows_shares_in_per_cent_with_their_intervals():
 
 def test_an_error_budget_shows_all_of_its_intervals_and_explains_its_colours():
     wide = SHARES | {"iron": (1.1, (0.7, 1.6))}
-    ax = error_budget(wide, [*BUDGET_ROLES, Role.NAMED])
+    ax = error_budget(wide, [*BUDGET_ROLES, Role.OTHER])
     low, high = ax.get_xlim()
     assert low <= -5.0
     assert high >= 160.0
