@@ -79,7 +79,7 @@ def test_a_sensor_that_does_not_answer_misses_its_deadline_and_works_again_after
         begin_s = time.monotonic()
         with pytest.raises(DriverError):  # noqa: PT012
             for _ in range(20):  # what came before the fault may still be read
-                sensor.read_field_T(timeout_s=0.8)
+                sensor.read_field_T(timeout_s=0.3)
         assert time.monotonic() - begin_s < 2.5
         simulator.faults.fault = Fault.NONE
         field_T = sensor.read_field_T(timeout_s=TIMEOUT_S).value
@@ -180,7 +180,7 @@ def test_a_monitor_that_does_not_answer_says_so_and_works_again_after(kind, faul
         begin_s = time.monotonic()
         with pytest.raises(DriverError):  # noqa: PT012
             for _ in range(20):  # what was asked just before the fault may still be answered
-                coil.read_temperature_K(timeout_s=0.8)
+                coil.read_temperature_K(timeout_s=0.3)
         assert time.monotonic() - begin_s < 2.0
         simulator.faults.fault = Fault.NONE
         assert coil.read_temperature_K(timeout_s=TIMEOUT_S).value == pytest.approx(295.15, abs=0.2)
