@@ -22,7 +22,7 @@ from estimator.calibration.next_degree import CLEAR_LOG_EVIDENCE
 from estimator.calibration.patterns import clearest_pattern
 from estimator.calibration.result import Calibration
 from estimator.effects import EFFECTS
-from estimator.inference.noise_of_readings import noise_rms_T, scatter_of_sensors
+from estimator.inference.noise_of_readings import noise_rms_T, noise_words, scatter_of_sensors
 from estimator.reporting.numbers import displays, percent, size_with_unit
 from estimator.rig.parameters import Parameter
 
@@ -103,18 +103,18 @@ def assessment(
     nominal, scatter = rig.nominal_values(), scatter_of_sensors(rig, observations.calibration)
     judged = observations.validation if role == "validation" else observations.calibration
     expected_T = noise_rms_T(rig, judged, nominal, scatter)
-    sizes = f"{_size(error_T)} where the expected noise leaves {_size(expected_T)}"
+    noise = noise_words(bool(scatter))
+    sizes = f"{_size(error_T)} where {noise} {_size(expected_T)}"
     if missed is not None and missed > policy.MISSED_SHARE and error_T > policy.MISSED_NOISE * expected_T:
         reason = f"the model misses {percent(missed)} of the field, {sizes}."
         return Assessment(Quality.UNUSABLE, (reason,), DO_NOT_USE)
     medians = {name: float(np.median(draws)) for name, draws in calibration.draws.items()}
     fit = LinearFit.of(rig, observations.calibration, calibration.best)
-    misfit = _misfit(error_T, expected_T)
+    misfit = _misfit(error_T, expected_T, noise)
     if not misfit and role == "validation":
         fitted_T = noise_rms_T(rig, observations.calibration, nominal, scatter)
-        misfit = _misfit(
-            errors["rmse"]["calibration"]["vector_T"], fitted_T, " of the readings that were fitted"
-        )
+        fitted_error_T = errors["rmse"]["calibration"]["vector_T"]
+        misfit = _misfit(fitted_error_T, fitted_T, noise, " of the readings that were fitted")
     if misfit:
         misfit += _one_reading(fit)
     reasons = [
@@ -177,14 +177,12 @@ def tensions(parameters: Iterable[Parameter], values: Mapping[str, float]) -> li
     return [words for _, words in sorted(far, reverse=True)]
 
 
-def _misfit(error_T: float, expected_T: float, of_which: str = "") -> list[str]:
+def _misfit(error_T: float, expected_T: float, noise: str, of_which: str = "") -> list[str]:
     """An error that the expected noise does not explain, known or free: a wide prior of the noise would follow any error."""
     if error_T <= policy.LARGER_THAN_NOISE * expected_T:
         return []
     ratio = math.inf if expected_T == 0.0 else error_T / expected_T
-    return [
-        f"the error{of_which} is {_size(error_T)}, {ratio:.2g} times what the expected noise leaves ({_size(expected_T)})."
-    ]
+    return [f"the error{of_which} is {_size(error_T)}, {ratio:.2g} times what {noise} ({_size(expected_T)})."]
 
 
 def _one_reading(fit: LinearFit) -> list[str]:

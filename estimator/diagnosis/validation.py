@@ -22,7 +22,7 @@ from estimator.diagnosis.predicted_field import PredictedReadings, not_predicted
 from estimator.effects.use import as_meant, is_in_field
 from estimator.inference.directions import Directions
 from estimator.inference.likelihood import LogPosterior
-from estimator.inference.noise_of_readings import noise_rms_T, scatter_of_sensors
+from estimator.inference.noise_of_readings import noise_rms_T, noise_words, scatter_of_sensors
 from estimator.readings.metrics import ErrorMetrics, error_metrics
 from estimator.readings.observations import Observations
 from estimator.rig.rig import Cause
@@ -48,7 +48,7 @@ class ValidationScores:
         log_density: Log predictive density of each reading.
         predicted: Errors of the field that `predict` gives, which has nothing that only these readings have.
         coverage_of_prediction: Computes the coverage of its intervals.
-        rms_of_noise: Computes the rms length of an error by noise alone, by repeated readings or the rig file.
+        of_noise: Computes the rms length of an error by noise alone, and gives the words that tell where it is from.
     """
 
     errors: ErrorMetrics
@@ -58,7 +58,7 @@ class ValidationScores:
     log_density: Float[Tensor, " reading"]
     predicted: ErrorMetrics
     coverage_of_prediction: Callable[[], float] = field(repr=False, compare=False)
-    rms_of_noise: Callable[[], float] = field(repr=False, compare=False)
+    of_noise: Callable[[], tuple[float, str]] = field(repr=False, compare=False)
 
     @cached_property
     def predicted_coverage90(self) -> float:
@@ -211,10 +211,10 @@ def validation_scores(
     )
 
 
-def _noise_rms_T(fit: Fit, unseen: Observations) -> float:
+def _noise_rms_T(fit: Fit, unseen: Observations) -> tuple[float, str]:
     """What noise leaves of readings, by the rig file, and by those that were fitted where a sensor read often at one place."""
-    rig = fit.rig
-    return noise_rms_T(rig, unseen, rig.nominal_values(), scatter_of_sensors(rig, fit.observations))
+    scatter = scatter_of_sensors(fit.rig, fit.observations)
+    return noise_rms_T(fit.rig, unseen, fit.rig.nominal_values(), scatter), noise_words(bool(scatter))
 
 
 def _inside(below: Float[Tensor, " component"], share: float) -> float:

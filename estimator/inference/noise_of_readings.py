@@ -74,3 +74,12 @@ def scatter_of_sensors(rig: Rig, observations: Observations) -> dict[str, float]
         for sensor, noise_T in zip(rig.sensors, by_sensor, strict=True)
         if noise_T is not None
     }
+
+
+def noise_words(are_repeated: bool) -> str:
+    """What is told before the noise of readings.
+
+    Args:
+        are_repeated: Their scatter says how large it is, to which currents and movers that jitter add; else the rig file does.
+    """
+    return "repeated readings scatter by" if are_repeated else "the expected noise leaves"

@@ -12,6 +12,7 @@ from estimator.effects import EFFECTS
 from estimator.effects.stages import NoiseEffect
 from estimator.effects.use import is_in_field
 from estimator.errors import listed
+from estimator.inference.noise_of_readings import noise_words
 from estimator.readings.flags import COMPONENTS
 from estimator.reporting.numbers import percent, size_with_unit
 from estimator.reporting.page import Table
@@ -37,17 +38,18 @@ def misses(diagnosis: Diagnosis) -> str:
     improvement = diagnosis.improvement
     if improvement is None:
         before, after = (symptoms.lack_of_fit for symptoms in (diagnosis.fits.before, diagnosis.fits.after))
-        rms_T, noise_T, of = before.rms_T, before.noise_T, "the readings that were fitted"
+        rms_T, of = before.rms_T, "the readings that were fitted"
+        noise_T, noise = before.noise_T, noise_words(before.noise_from == "repeats")
     else:
-        rms_T, noise_T = improvement.before.errors.vector_T, improvement.before.rms_of_noise()
-        of = "readings that no fit has seen"
+        rms_T, of = improvement.before.errors.vector_T, "readings that no fit has seen"
+        noise_T, noise = improvement.before.of_noise()
     rms = f"the rig as described misses {of} by {size_with_unit(rms_T, 'T', 3)} rms"
     if improvement is None and before is not after:
         return f"{rms}, the extended rig by {size_with_unit(after.rms_T, 'T', 3)}{_mostly(diagnosis)}"
     noise_rms = size_with_unit(noise_T, "T", 3)
     if rms_T <= noise_T:
-        return f"{rms}, no more than the expected noise leaves ({noise_rms}), but not at random"
-    return f"{rms} where the expected noise leaves {noise_rms}{_mostly(diagnosis)}"
+        return f"{rms}, no more than {noise} ({noise_rms}), but not at random"
+    return f"{rms} where {noise} {noise_rms}{_mostly(diagnosis)}"
 
 
 def _mostly(diagnosis: Diagnosis) -> str:

@@ -6,13 +6,14 @@ import math
 import re
 from collections.abc import Collection, Iterator, Mapping
 from dataclasses import replace
-from itertools import combinations
 
 import numpy as np
 from torch import Tensor
 
-from estimator.inference.noise_of_readings import noise_rms_T
+from estimator.inference.noise_of_readings import noise_rms_T, noise_words, scatter_of_sensors
+from estimator.readings.observations import Observations
 from estimator.reporting.numbers import displays
+from estimator.rig.rig import Rig
 from scripts.studies.judge.advice import OF_CALIBRATE
 from scripts.studies.judge.case import CALIBRATE_TEXT, Case
 from scripts.studies.judge.handed_out import HandedOut
@@ -38,7 +39,7 @@ SCATTERED_SHARE = 0.026
 LUCKY_SD = 4.0
 LAST_OF_A_DISTANCE = 0.1
 TOLD_APART = 0.01  # of a constant's square: with more beside the currents, readings tell it from the coils
-NEAR_NOISE = 0.25  # of the true noise: what its estimate from few repeats may be off
+BY_RIG_FILE, BY_REPEATS = noise_words(False), noise_words(True)
 sentence = Readers(of_nominal, advice=OF_CALIBRATE)
 
 
@@ -68,39 +69,26 @@ def goodness(
     return Statement("good", source, text, missed_T <= MOST_MISSED * noise_T, why)
 
 
-@sentence(r"(?P<size>[\d.]+ [mun µ]?T) where the expected noise leaves (?P<noise>[\d.]+ [mun µ]?T)")
+@sentence(rf"(?P<size>[\d.]+ [mun µ]?T) where (?P<by>{BY_RIG_FILE}|{BY_REPEATS}) (?P<noise>[\d.]+ [mun µ]?T)")
 def misses(case: Case, text: str, match: re.Match[str]) -> Iterator[Statement]:
-    """What the model misses, and what noise of the rig file leaves."""
+    """What the model misses, and what noise leaves."""
     is_seen = not bool(case.observations.is_validation.any())
     readings = case.observations.rows(case.observations.is_validation != is_seen)
     error_T = case.plain.errors(readings).vector_T
     yield number_statement("error", CALIBRATE, text, size_of(match["size"]), [error_T], 3)
-    yield from expected_noise(case, CALIBRATE, text, size_of(match["noise"]), 3)
+    yield expected_noise(
+        case.plain.rig, case.observations, CALIBRATE, text, size_of(match["noise"]), match["by"]
+    )
 
 
-def expected_noise(case: Case, source: str, text: str, printed_T: float, digits: int) -> Iterator[Statement]:
-    """Noise of unseen readings, or of all where none are: that of the rig file, or by repeats, which is near the true one."""
-    is_seen = not bool(case.observations.is_validation.any())
-    is_judged = case.observations.is_validation != is_seen
-    nominal = case.plain.rig.nominal_values()
-    noise_T = noise_rms_T(case.plain.rig, case.observations.rows(is_judged), nominal)
-    stated = number_statement("expected_noise", source, text, printed_T, [noise_T], digits)
-    if case.truth is not None and case.truth.noise_T is not None and not stated.is_true:
-        # Of a sensor that read often at one place the scatter tells the noise, of others the rig file does.
-        true_T, sensor = (
-            case.truth.noise_T[is_judged.numpy()],
-            case.observations.sensor[is_judged].numpy(),
-        )
-        rig_T = np.array([nominal[f"{s.name}.noise_T"] for s in case.plain.rig.sensors])
-        possible_T = [
-            float(np.sqrt(3.0 * np.square(np.where(np.isin(sensor, told), true_T, rig_T[sensor])).mean()))
-            for n in range(1, len(rig_T) + 1)
-            for told in combinations(range(len(rig_T)), n)
-        ]
-        is_near = any(abs(printed_T / each_T - 1.0) < NEAR_NOISE for each_T in possible_T)
-        why = f"{stated.why}, true {', '.join(f'{each_T:.4g}' for each_T in possible_T)}"
-        stated = replace(stated, is_true=is_near, why=why)
-    yield stated
+def expected_noise(
+    rig: Rig, observations: Observations, source: str, text: str, printed_T: float, by: str
+) -> Statement:
+    """Noise of unseen readings, or of all where none are: that of the rig file, or what fitted readings at one place scatter."""
+    judged = observations.validation if bool(observations.is_validation.any()) else observations
+    scatter = scatter_of_sensors(rig, observations.calibration) if by == BY_REPEATS else {}
+    noise_T = noise_rms_T(rig, judged, rig.nominal_values(), scatter)
+    return number_statement("expected_noise", source, text, printed_T, [noise_T], 3)
 
 
 @sentence(

@@ -14,7 +14,7 @@ from estimator.model.measurement_model import nominal_tensors
 from estimator.rig.rig import Cause, Rig
 from scripts.studies.judge.case import DIAGNOSIS, Case
 from scripts.studies.judge.handed_out import HandedOut
-from scripts.studies.judge.of_calibration import expected_noise
+from scripts.studies.judge.of_calibration import BY_REPEATS, BY_RIG_FILE, expected_noise
 from scripts.studies.judge.reading import Readers
 from scripts.studies.judge.statements import (
     PROBABILITY,
@@ -88,14 +88,15 @@ def no_known_cause(case: Case, text: str, _: re.Match[str]) -> Iterator[Statemen
 
 @sentence(
     r"the rig as described misses readings that no fit has seen by (?P<missed>[\d.]+ \S*T) rms"
-    r"(?: where the expected noise leaves (?P<noise>[\d.]+ \S*T)"
-    r"|, no more than the expected noise leaves \((?P<random>[\d.]+ \S*T)\), but not at random)?"
+    rf"(?:(?: where|, no more than) (?P<by>{BY_RIG_FILE}|{BY_REPEATS}) \(?(?P<noise>[\d.]+ \S*T)\)?(?:, but not at random)?)?"
     r"(?:, mostly in (?P<axis>[xyz]) of (?P<sensor>\w+))?"
 )
 def misses(case: Case, text: str, match: re.Match[str]) -> Iterator[Statement]:
     """How far the rig as described misses unseen readings, beside which noise, and in which component."""
-    if noise := match["noise"] or match["random"]:
-        yield from expected_noise(case, DIAGNOSE, text, size_of(noise), 3)
+    if match["noise"]:
+        yield expected_noise(
+            case.plain.rig, case.without_flagged, DIAGNOSE, text, size_of(match["noise"]), match["by"]
+        )
     if case.flagged.any():
         return  # what `calibrate` fitted is another model then
     values = [case.plain.errors(case.held_out).vector_T]

@@ -95,8 +95,9 @@ def test_errors_are_told_beside_what_noise_leaves_of_the_same_readings(fits, wro
     unseen = wrong_zero.validation
     of_one_axis = replace(unseen, field_sensor_T=unseen.field_sensor_T.clone())
     of_one_axis.field_sensor_T[:, 1:] = math.nan
-    assert validation_scores(fits[1], unseen).rms_of_noise() == pytest.approx(math.sqrt(3.0) * NOISE_T)
-    assert validation_scores(fits[1], of_one_axis).rms_of_noise() == pytest.approx(NOISE_T)
+    noise_T, words = validation_scores(fits[1], unseen).of_noise()
+    assert (noise_T, words) == (pytest.approx(math.sqrt(3.0) * NOISE_T), "the expected noise leaves")
+    assert validation_scores(fits[1], of_one_axis).of_noise()[0] == pytest.approx(NOISE_T)
 
 
 def test_right_cause_gains_on_unseen_readings(improvement):
