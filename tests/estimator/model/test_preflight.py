@@ -117,30 +117,37 @@ def test_readings_of_30_random_truths_are_never_refused(setup, noise_T):
         check(rig, read(rig, plan, seed, noise_T))
 
 
+UNITS: dict[str, tuple[Change, str]] = {
+    "mT": (
+        lambda o: o.with_field(o.field_sensor_T * 1e3),
+        "fields look like mT called T, or uT called mT (or currents are too small by 1000)",
+    ),
+    "uT": (
+        lambda o: o.with_field(o.field_sensor_T * 1e6),
+        "fields look like uT called T, or nT called mT (or currents are too small by 1e+06)",
+    ),
+    "G": (
+        lambda o: o.with_field(o.field_sensor_T * 1e4),
+        "fields look like G called T, or mG called mT (or currents are too small by 10000)",
+    ),
+    "mA": (
+        lambda o: replace(o, current_A=o.current_A * 1e3),
+        "currents look like mA called A (or fields are too small by 1000)",
+    ),
+    "unknown factor": (
+        lambda o: o.with_field(o.field_sensor_T * 100),
+        "check units, currents and the nominal pose",
+    ),
+}
+
+
 @pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        (
-            lambda o: o.with_field(o.field_sensor_T * 1e3),
-            "fields look like mT called T, or uT called mT (or currents are too small by 1000)",
-        ),
-        (
-            lambda o: o.with_field(o.field_sensor_T * 1e6),
-            "fields look like uT called T, or nT called mT (or currents are too small by 1e+06)",
-        ),
-        (
-            lambda o: o.with_field(o.field_sensor_T * 1e4),
-            "fields look like G called T, or mG called mT (or currents are too small by 10000)",
-        ),
-        (
-            lambda o: replace(o, current_A=o.current_A * 1e3),
-            "currents look like mA called A (or fields are too small by 1000)",
-        ),
-        (lambda o: o.with_field(o.field_sensor_T * 100), "check units, currents and the nominal pose"),
-    ],
-    ids=["mT", "uT", "G", "mA", "unknown factor"],
+    ("setup", "unit"),
+    [*(("displaced coil", unit) for unit in UNITS), ("sensor on a mapper", "mT"), ("coil on a robot", "mA")],
+    indirect=["setup"],
 )
-def test_another_unit_of_field_or_current_is_named(setup, change, message):
+def test_another_unit_of_field_or_current_is_named(setup, unit):
+    change, message = UNITS[unit]
     rig, plan = setup
     refused = refusal(rig, change(read(rig, plan, 0)))
     assert refused.startswith("measured and nominal field must agree to a factor of 20; their ratio is ")
