@@ -39,4 +39,3 @@ def install_logs() -> None:
     handler.setFormatter(JsonLines())
     logging.basicConfig(level=logging.INFO, handlers=[handler], force=True)
     logging.getLogger("distributed").setLevel(logging.WARNING)
-    logging.getLogger("alembic").setLevel(logging.WARNING)
