@@ -155,9 +155,9 @@ class Core:
     def close(self) -> None:
         """Hand everything back for the next process."""
         self.end_streams()
-        self.watching.stop()
         if self.periodic.running:
             self.periodic.shutdown()
+        self.watching.stop()
         self.deliveries.stop()
         self.predictor.close()
         self.jobs.stop()

@@ -7,9 +7,7 @@ is no job: it starts by itself, and nothing is stored of it.
 from __future__ import annotations
 
 import logging
-import threading
-import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 from estimator.errors import CoilcalError
 from estimator.live.refresh import Background
@@ -21,53 +19,49 @@ log = logging.getLogger("coilcal.service")
 
 
 class RunningDiagnosis:
-    """Gives the process its work, which lives while sessions are watched.
+    """Gives the process its work, which lives while sessions are watched."""
 
-    Args:
-        sessions: Those that are watched now.
-    Attributes:
-        stopping: Setting it ends the process, whatever that does.
-    """
+    def __init__(self) -> None:
+        self._background: Background | None = None
+        self._at: Watched | None = None
 
-    def __init__(self, sessions: Callable[[], Sequence[Watched]]) -> None:
-        self._sessions, self.stopping = sessions, threading.Event()
+    def look(self, sessions: Sequence[Watched]) -> None:
+        """Take what is done, and begin with the session that waits longest.
 
-    def look(self) -> None:
-        """Start the process where a session waits, and let it work while sessions are watched."""
-        if self._next() is not None:
-            with Background(SEED) as background:
-                while self._sessions() and self._turn(background):
-                    pass
+        Args:
+            sessions: Those that are watched now. Without any, or where the one at work is left, the process ends whatever it does.
+        """
+        if not sessions or (self._at is not None and self._at.is_left):
+            self.stop()
+        if self._at is not None and self._background is not None:
+            if (refreshed := self._background.take()) is not None:
+                self._at.take(refreshed)
+                log.info("running diagnosis", extra={"took_s": round(refreshed.took_s, 1)})
+            elif not self._background.is_busy and self._background.trouble is not None:
+                log.warning("running diagnosis failed", extra={"fault": self._background.trouble})
+            self._at = self._at if self._background.is_busy else None
+        if self._at is None:
+            self._begin(sessions)
 
-    def _next(self) -> Watched | None:
-        """The session that waits longest."""
-        waiting = [
-            (since_s, session)
-            for session in self._sessions()
+    def _begin(self, sessions: Sequence[Watched]) -> None:
+        waiting = {
+            session: since_s
+            for session in sessions
             if (since_s := session.waits_since_s) is not None and not session.is_left
-        ]
-        return min(waiting, key=lambda pair: pair[0])[1] if waiting else None
-
-    def _turn(self, background: Background) -> bool:
-        """Diagnose one session, if one waits; False if the process works on a session that is no longer watched."""
-        session = self._next()
-        if session is None:
-            self.stopping.wait(LOOK_EVERY_S)
-            return not self.stopping.is_set()
-        begin_s = time.monotonic()
+        }
+        if not waiting:
+            return
+        first = min(waiting, key=lambda session: waiting[session])
         try:
-            background.begin(session.so_far())
+            readings = first.so_far()
         except CoilcalError:
-            return True  # readings that no session holds: the estimate of the session says why
-        while background.is_busy:
-            refreshed = background.take()
-            if refreshed is not None:
-                session.take(refreshed)
-                log.info("running diagnosis", extra={"took_s": round(time.monotonic() - begin_s, 1)})
-            elif self.stopping.is_set() or session.is_left:
-                return False
-            elif background.is_busy:
-                self.stopping.wait(LOOK_EVERY_S)
-        if background.trouble is not None:
-            log.warning("running diagnosis failed", extra={"fault": background.trouble})
-        return True
+            return  # readings that no session holds: the estimate of the session says why
+        self._background = self._background or Background(SEED)
+        self._background.begin(readings)
+        self._at = first
+
+    def stop(self) -> None:
+        """End the process."""
+        if self._background is not None:
+            self._background.__exit__()
+        self._background = self._at = None

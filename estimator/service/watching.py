@@ -29,12 +29,12 @@ class Watching:
         self._watched: dict[str, Watched] = {}
         self._n_watchers: Counter[str] = Counter()
         self._lock = threading.Lock()
-        self._is_diagnosed, self._diagnosis = is_diagnosed, RunningDiagnosis(self._all)
+        self._is_diagnosed, self._diagnosis = is_diagnosed, RunningDiagnosis()
 
     def diagnose(self) -> None:
-        """Diagnose sessions one after another while some are watched and have grown."""
+        """Go on with the diagnosis of sessions that have grown; called again and again, by one thread at a time."""
         if self._is_diagnosed:
-            self._diagnosis.look()
+            self._diagnosis.look(self._all())
 
     def _all(self) -> list[Watched]:
         with self._lock:
@@ -71,7 +71,7 @@ class Watching:
                     watched.leave()
 
     def stop(self) -> None:
-        """End all threads."""
-        self._diagnosis.stopping.set()
+        """End all threads, and the process of the diagnosis, with which nobody may go on meanwhile."""
+        self._diagnosis.stop()
         for watched in self._all():
             watched.leave()

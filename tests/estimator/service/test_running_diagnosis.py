@@ -49,17 +49,17 @@ class Process:
 
 
 @pytest.fixture
-def core(idle: Callable[..., TestClient], monkeypatch: pytest.MonkeyPatch) -> Iterator[tuple[Core, Any]]:
+def core(idle: Callable[..., TestClient], monkeypatch: pytest.MonkeyPatch) -> Iterator[tuple[Core, Any, Any]]:
     Process.made, Process.may_end = [], threading.Event()
     monkeypatch.setattr(running_diagnosis, "Background", Process)
-    monkeypatch.setattr(running_diagnosis, "LOOK_EVERY_S", 0.005)
     client = idle()
     made: Core = client.app.state.core  # type: ignore[attr-defined]
     scheduler = scheduler_of({"running diagnosis": (0.02, made.watching.diagnose)})
     scheduler.start()
-    yield made, client
+    yield made, client, scheduler
+    if scheduler.running:
+        scheduler.shutdown()
     made.watching.stop()
-    scheduler.shutdown()
 
 
 def verdict(session: Watched) -> Any:
@@ -98,7 +98,7 @@ def test_sessions_take_turns_and_are_diagnosed_again_when_they_have_grown(
 
 
 def test_a_diagnosis_that_nobody_waits_for_any_more_is_ended(core, rig_text, small_session, small_rig):
-    watching, client = core[0].watching, core[1]
+    watching, client, scheduler = core[0].watching, core[1], core[2]
     session_id = begin_session(client, upload_rig(client, rig_text))
     with watching.watched(session_id):
         append(client, session_id, lines_of(small_session, small_rig, 0, 20))
@@ -107,5 +107,6 @@ def test_a_diagnosis_that_nobody_waits_for_any_more_is_ended(core, rig_text, sma
     assert len(Process.made) == 1
     with watching.watched(session_id):
         until(lambda: len(Process.made) == 2 and Process.made[1].is_busy)
-        watching.stop()
-        until(lambda: Process.made[1].is_ended)
+        scheduler.shutdown()
+        watching.stop()  # as the service does at its end
+    assert Process.made[1].is_ended
