@@ -15,7 +15,11 @@ from estimator.cli.output import EXIT_UNDELIVERED, CoilcalCommand, needing, show
 from estimator.errors import CorruptStore
 
 if TYPE_CHECKING:
+    from estimator.acquisition.pace import Pace
     from estimator.cli.delivery import Delivery
+    from estimator.planning.pilot import Pilot
+    from estimator.readings.observations import Observations
+    from estimator.rig.rig import Rig
     from estimator.store.session import Session
 
 FEWEST_READINGS = 6  # `estimator.acquisition.pace` says why; it needs torch
@@ -92,8 +96,8 @@ def acquire_command(
     from estimator.cli.acquire_task import check_plan, measured, read_task
     from estimator.cli.contents import ending
     from estimator.cli.instruments import Bench
-    from estimator.cli.pilots import until
     from estimator.cli.plan_shown import plan_record, plan_text
+    from estimator.planning.autopilot import pilot_of
     from estimator.planning.decision import Limits
     from estimator.store.journal import read_journal
     from estimator.store.made import JOURNAL
@@ -109,7 +113,11 @@ def acquire_command(
     header, records = read_journal(out) if is_resumed else ({}, [])
     bench = Bench.load(rig_path, devices_path)
     ends = Limits(most_stops, None if minutes is None else 60.0 * minutes)
-    task = read_task(bench, plan_path, question=until(goals, ends) if goals else None, **pace)
+
+    def until_goals(rig: Rig, candidates: Observations, pace: Pace, seed: int) -> Pilot:
+        return pilot_of(rig, candidates, goals, pace, ends, seed)
+
+    task = read_task(bench, plan_path, question=until_goals if goals else None, **pace)
     loads = check_plan(task, records, time.time() - header["begin_s"] if records else 0.0)
     if dry_run:
         show(plan_record(task), plan_text(task), as_json)

@@ -8,7 +8,7 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 import click
 import torch
@@ -22,7 +22,6 @@ from estimator.acquisition.acquire import acquire, references_of
 from estimator.acquisition.pace import ANSWER_S, Pace, check_instruments, digest_of, durations_s, stops_of
 from estimator.cli.instruments import Bench
 from estimator.cli.output import EXIT_INTERRUPTED
-from estimator.cli.pilots import Question
 from estimator.cli.places import places_of
 from estimator.cli.plan_limits import check_currents, check_ways, loads_so_far
 from estimator.cli.progress import Reporter
@@ -32,6 +31,7 @@ from estimator.planning.candidates import clear_candidates, one_row_each
 from estimator.planning.pilot import Pilot
 from estimator.readings.observations import Observations
 from estimator.readings.plan import Plan, load_plan
+from estimator.rig.rig import Rig
 from estimator.store.files import write_text
 from estimator.store.growing import new_header
 from estimator.store.journal import Journal, unwritten
@@ -39,6 +39,8 @@ from estimator.store.made import END
 from estimator.store.session import remove_session
 
 LINE_EVERY_S = 5.0  # in a pipe
+Question: TypeAlias = Callable[[Rig, Observations, Pace, int], Pilot]
+"""What a session shall answer whose stops are chosen: who chooses among candidates of a rig, at a pace, with a seed."""
 
 
 @dataclass(frozen=True)

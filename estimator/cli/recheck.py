@@ -8,16 +8,19 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from estimator.acquisition.pace import Pace
 from estimator.cli.acquire_task import check_plan, measured, read_task
 from estimator.cli.contents import ending
 from estimator.cli.instruments import Bench
 from estimator.cli.output import EXIT_DRIFTED, EXIT_NOT_CONVERGED, show
-from estimator.cli.pilots import still_holds
 from estimator.errors import InvalidInput
 from estimator.planning.decision import Limits
-from estimator.recalibration.recheck import CHANGED, HOLDS
+from estimator.planning.pilot import Pilot
+from estimator.readings.observations import Observations
+from estimator.recalibration.recheck import CHANGED, HOLDS, Recheck
 from estimator.recalibration.registry import Registry
-from estimator.recalibration.sequential import FALSE_ALARMS, MISSES
+from estimator.recalibration.sequential import FALSE_ALARMS, MISSES, Rates
+from estimator.rig.rig import Rig
 from estimator.store.journal import read_journal
 from estimator.store.session import SESSION, is_growing, seal
 from estimator.store.staging import check_output
@@ -54,8 +57,12 @@ def recheck(
     is_resumed = is_growing(out)
     if not is_resumed:
         check_output(out, False, SESSION)
-    question = still_holds(versions.calibration(), 0.01 * percent, Limits(most_stops))
-    task = read_task(bench, plan_path, N_READINGS, LONGEST_SETTLE_S, None, seed, question)
+    calibration, ends = versions.calibration(), Limits(most_stops)
+
+    def still_holds(_: Rig, candidates: Observations, pace: Pace, __: int) -> Pilot:
+        return Recheck(calibration, candidates, 0.01 * percent, pace, ends, Rates())
+
+    task = read_task(bench, plan_path, N_READINGS, LONGEST_SETTLE_S, None, seed, still_holds)
     header, records = read_journal(out) if is_resumed else ({}, [])
     loads = check_plan(task, records, time.time() - header["begin_s"] if records else 0.0)
     measured(task, out, is_resumed, loads, lambda: None)
