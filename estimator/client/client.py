@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import AsyncIterator, Iterator
+from contextlib import suppress
 from typing import Any
 
 import httpx
 
 from estimator.client.calibrations import AsyncRemoteCalibration, RemoteCalibration
 from estimator.client.calls import Awaits, Waits
-from estimator.client.connection import AsyncConnection, Connection, page_after
+from estimator.client.connection import AsyncConnection, Connection, items_of
 from estimator.client.registry import AsyncRemoteRegistry, RemoteRegistry
 from estimator.client.service_calls import ServiceCalls
 from estimator.client.sessions import AsyncRemoteSession, RemoteSession
@@ -52,13 +53,10 @@ class Client(ServiceCalls[RemoteCalibration, RemoteRegistry, RemoteSession], Wai
 
     def pages(self, path: str, **params: Any) -> Iterator[dict[str, Any]]:
         """Every item of a list of the service, page after page."""
-        cursor = None
-        while True:
-            page = self.connection.run(page_after(self.connection, path, params, cursor))
-            yield from page["items"]
-            cursor = page["next"]
-            if cursor is None:
-                return
+        items = items_of(self.connection, path, params)
+        with suppress(StopAsyncIteration):
+            while True:
+                yield self.connection.run(anext(items))
 
 
 class AsyncClient(ServiceCalls[AsyncRemoteCalibration, AsyncRemoteRegistry, AsyncRemoteSession], Awaits):
@@ -92,13 +90,6 @@ class AsyncClient(ServiceCalls[AsyncRemoteCalibration, AsyncRemoteRegistry, Asyn
         """Close the connections."""
         await self.connection.close()
 
-    async def pages(self, path: str, **params: Any) -> AsyncIterator[dict[str, Any]]:
+    def pages(self, path: str, **params: Any) -> AsyncIterator[dict[str, Any]]:
         """Every item of a list of the service, page after page."""
-        cursor = None
-        while True:
-            page = await page_after(self.connection, path, params, cursor)
-            for item in page["items"]:
-                yield item
-            cursor = page["next"]
-            if cursor is None:
-                return
+        return items_of(self.connection, path, params)

@@ -9,7 +9,7 @@ from __future__ import annotations
 import asyncio
 import time
 from abc import ABC, abstractmethod
-from collections.abc import Awaitable, Callable, Coroutine, Mapping
+from collections.abc import AsyncGenerator, Awaitable, Callable, Coroutine, Mapping
 from contextlib import suppress
 from itertools import count
 from typing import Any, TypeVar
@@ -211,19 +211,13 @@ def _headers(token: str | None) -> dict[str, str]:
     return {} if token is None else {"Authorization": f"Bearer {token}"}
 
 
-async def page_after(
-    connection: Http, path: str, params: Mapping[str, Any], cursor: str | None
-) -> dict[str, Any]:
-    """A page of a list, the first without a cursor: `items`, and in `next` the cursor of the page that follows, or None."""
-    asked = dict(params) if cursor is None else {**params, "cursor": cursor}
-    return await connection.json("GET", path, params=asked)
-
-
-async def whole_list(connection: Http, path: str) -> list[dict[str, Any]]:
-    """Every item of a list."""
-    page = await page_after(connection, path, {}, None)
-    items = list(page["items"])
-    while page["next"] is not None:
-        page = await page_after(connection, path, {}, page["next"])
-        items += page["items"]
-    return items
+async def items_of(connection: Http, path: str, params: Mapping[str, Any]) -> AsyncGenerator[dict[str, Any]]:
+    """Every item of a list of the service, page after page."""
+    asked = dict(params)
+    while True:
+        page = await connection.json("GET", path, params=asked)
+        for item in page["items"]:
+            yield item
+        if page["next"] is None:
+            return
+        asked["cursor"] = page["next"]

@@ -6,7 +6,7 @@ from typing import Any, ClassVar, Generic
 
 from estimator.client.calibrations import AsyncRemoteCalibration, C, RemoteCalibration, calibration_of
 from estimator.client.calls import Awaits, Call, Waits
-from estimator.client.connection import Http, whole_list
+from estimator.client.connection import Http, items_of
 from estimator.errors import InvalidInput
 
 
@@ -38,12 +38,12 @@ class RegistryCalls(Generic[C]):
     @Call
     async def versions(self) -> list[dict[str, Any]]:
         """Every version with its parameters, newest first."""
-        return await whole_list(self.connection, f"{self._path}/versions")
+        return [item async for item in items_of(self.connection, f"{self._path}/versions", {})]
 
     @Call
     async def entries(self) -> list[dict[str, Any]]:
         """Conclusions and rollbacks, newest first."""
-        return await whole_list(self.connection, f"{self._path}/entries")
+        return [item async for item in items_of(self.connection, f"{self._path}/entries", {})]
 
     @Call
     async def roll_back(self, version: int) -> dict[str, Any]:
