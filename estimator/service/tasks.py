@@ -1,6 +1,7 @@
 """The five kinds of job, and where each leaves what it has found.
 
 Each may be done again after a kill: the chain of a calibration, the fits of a diagnosis or a batch, and a registry are their own state.
+Workers import this module without the web libraries, so those of another cluster need `coilcal[batch]` only.
 """
 
 from __future__ import annotations
@@ -14,10 +15,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from estimator.errors import CorruptStore
+from estimator.inference.ensemble import SamplerSettings
 from estimator.json_files import read_json
+from estimator.rig.rig import Rig
+from estimator.rig_files.read import rig_from_text
 from estimator.service.alerts import ALERTS, leave_alert
-from estimator.service.assigned_job import AssignedJob
 from estimator.store.files import write_text
+from estimator.store.session import Session, load_session
 
 if TYPE_CHECKING:
     from estimator.calibration.calibrate import Stage
@@ -28,6 +32,58 @@ PANELS = f"{DIAGNOSIS}/panels.json"
 CONCLUSION, BATCH, DESIGN = "conclusion.json", "batch.json", "design.json"
 INBOX, FITS, RIG = "inbox", "fits", "rig.yaml"
 LOOK_EVERY_S = 1.0
+
+
+Tell = Callable[[str, Mapping[str, Any]], None]
+
+
+@dataclass(frozen=True)
+class AssignedJob:
+    """A job with its folder.
+
+    Attributes:
+        content: Content of its `job.json`.
+        folder: The folder.
+        session_path: Folder of its session.
+        tell: Reports progress, in words and numbers; raises where the job must end.
+    """
+
+    content: Mapping[str, Any]
+    folder: Path
+    session_path: Path
+    tell: Tell
+
+    @property
+    def options(self) -> Mapping[str, Any]:
+        """What was asked for."""
+        return self.content["options"]
+
+    @property
+    def arguments(self) -> dict[str, Any]:
+        """What was asked for, as the Python API takes it."""
+        settings = self.options.get("settings")
+        return {**self.options, **({} if settings is None else {"settings": SamplerSettings(**settings)})}
+
+    @property
+    def rig(self) -> Rig | None:
+        """The rig that was given; None for that of the session."""
+        text = self.content["rig"]
+        return None if text is None else rig_from_text(text, "rig of the job")
+
+    def session(self) -> Session:
+        """The session."""
+        return load_session(self.session_path)
+
+    def command(self, name: str) -> str:
+        """The command that would do the same, for the page."""
+        flags = " --as-described" if self.options.get("as_described") else ""
+        flags += "" if self.options.get("has_corrections", True) else " --no-corrections"
+        job = f"job {self.content['id']} of coilcal serve"
+        return f"coilcal {name} SESSION --seed {self.options['seed']}{flags}   ({job})"
+
+    def write(self, name: str, content: Mapping[str, Any]) -> None:
+        """Write a JSON file of the folder, whole or not at all."""
+        write_text(self.folder / name, json.dumps(content, indent=2, allow_nan=False) + "\n")
 
 
 def calibrate_job(job: AssignedJob) -> dict[str, Any]:

@@ -14,8 +14,7 @@ import torch
 
 from estimator.errors import CoilcalError, CorruptStore
 from estimator.json_files import read_json
-from estimator.service.assigned_job import AssignedJob
-from estimator.service.tasks import TASKS
+from estimator.service.tasks import TASKS, AssignedJob
 
 JOB, RESULT, PROGRESS, LOCK = "job.json", "result.json", "progress.jsonl", "lock"
 PROGRESS_EVERY_S = 0.2

@@ -15,8 +15,8 @@ from estimator.recalibration.log import Entry
 from estimator.recalibration.registry import Registry
 from estimator.service import alerts, tasks
 from estimator.service.alerts import ALERTS, leave_alert, run_alerts
-from estimator.service.assigned_job import AssignedJob
 from estimator.service.settings import load_settings
+from estimator.service.tasks import AssignedJob
 from estimator.store.session import Session
 from tests.estimator.service.conftest import QUICK
 

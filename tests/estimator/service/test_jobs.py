@@ -17,12 +17,11 @@ from estimator.calibration.result import Calibration
 from estimator.errors import InvalidInput
 from estimator.inference.ensemble import SamplerSettings
 from estimator.service import dispatcher as dispatcher_module
-from estimator.service.assigned_job import AssignedJob
 from estimator.service.database import now
 from estimator.service.dispatcher import Dispatcher
 from estimator.service.job_queue import JobQueue
 from estimator.service.schema import Job
-from estimator.service.tasks import TASKS
+from estimator.service.tasks import TASKS, AssignedJob
 from estimator.service.work import RESULT, STOP
 from estimator.store.session import Session
 from tests.estimator.service.conftest import QUICK, import_csv, refusal, upload_rig, wait_for

@@ -11,8 +11,8 @@ from starlette.testclient import TestClient
 
 from estimator.recalibration.registry import Registry
 from estimator.service import tasks
-from estimator.service.assigned_job import AssignedJob
 from estimator.service.core import Core
+from estimator.service.tasks import AssignedJob
 from estimator.store.importers.readings_csv import write_readings_csv
 from estimator.store.session import Session
 from tests.estimator.service.conftest import QUICK, import_csv, refusal, upload_rig, wait_for
