@@ -168,6 +168,7 @@ class CalibrationCalls:
         """What was asked for, as tensors."""
         body = {"points_m": points_m.tolist(), **self._wish(currents_A, motion), **asked}
         answer = await self.connection.json("POST", f"{self._path}/predict", json=body)
+        answer.pop("caution", None)  # which `summary` has as `quality`
         return {name: torch.tensor(_nans(values), dtype=torch.float64) for name, values in answer.items()}
 
     def _wish(self, currents_A: Currents, motion: Motion | None) -> dict[str, Any]:

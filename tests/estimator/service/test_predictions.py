@@ -11,6 +11,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import httpx
 import numpy as np
 import pyarrow as pa
 import pytest
@@ -18,6 +19,7 @@ import torch
 from starlette.testclient import TestClient
 
 from estimator.calibration.result import Calibration
+from estimator.client import Client, RemoteCalibration
 from estimator.diagnosis.posterior import doubted
 from estimator.errors import InvalidInput
 from estimator.export.formats import default_path
@@ -98,6 +100,22 @@ def test_a_calibration_that_is_not_good_says_so_beside_its_predictions(
     assert suspect.post(f"{PATH}/predict", json=asked).json()["caution"] == caution
     told = pa.ipc.open_stream(suspect.post(f"{PATH}/predict.arrow", json=asked).content).schema.metadata
     assert told[b"caution"].decode() == caution
+    there = RemoteCalibration(ID, suspect.get(f"{PATH}/summary").json(), through(suspect).connection)
+    at_m = torch.tensor(POINTS_M[:2], dtype=torch.float64)
+    assert torch.equal(there.field(at_m, CURRENTS_A), small_calibration.field(at_m, CURRENTS_A))
+
+
+def through(client: TestClient) -> Client:
+    """A client of an application in this process."""
+
+    def answer(request: httpx.Request) -> httpx.Response:
+        content, headers = request.content, dict(request.headers) | {"host": "127.0.0.1:8765"}
+        answered = client.request(
+            request.method, request.url.raw_path.decode(), content=content, headers=headers
+        )
+        return httpx.Response(answered.status_code, content=answered.content)
+
+    return Client("http://127.0.0.1:8765", transport=httpx.MockTransport(answer))
 
 
 def test_a_correction_and_an_iron_core_are_in_predictions(idle, cored_calibration, rig_text, readings_csv):
