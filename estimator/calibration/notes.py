@@ -54,7 +54,8 @@ def notes(described: WithEverywhere, observations: Observations) -> list[str]:
     ]
     if rig.wound and not any(rig.depends_on_data(name) for name in gains if name in rig.parameters):
         sentences.append(
-            "The rig file takes the gains of supply and sensor as exact: if one is 1 % off, so are the fields and the number of turns."
+            "The rig file takes the gains of supply and sensor as exact: if one is 1 % off, so is the number of turns, or sizes and places "
+            "are wrong where turns are given. Fields are 1 % off where a sensor's is; where a supply's is, they hold for that supply alone."
         )
     of_coils = [p for coil in rig.wound for p in rig.parameters if p.startswith(f"{coil.name}.")]
     is_fitted = any(rig.depends_on_data(p) for p in of_coils if POSE not in p)

@@ -107,3 +107,10 @@ def test_three_open_combinations_are_told_and_the_others_counted():
         *first,
         "not determined by the data: 2 more, which summary.json lists",
     ]
+
+
+def test_a_supply_that_is_off_is_not_said_to_make_its_own_fields_wrong():
+    """They are of the current that it was asked for, as the readings were."""
+    (told,) = (note for note in told_of(KNOWN) if "gains of supply and sensor" in note)
+    assert "so is the number of turns, or sizes and places are wrong where turns are given." in told
+    assert "where a supply's is, they hold for that supply alone." in told
