@@ -181,7 +181,7 @@ def _text(diagnosis: Diagnosis) -> str:
     from estimator.diagnosis.statements.gain import unseen_line
     from estimator.diagnosis.statements.left import evidence
     from estimator.diagnosis.statements.priors import held_back, tension
-    from estimator.diagnosis.statements.visible import twins
+    from estimator.diagnosis.statements.visible import AT_TYPICAL_SIZE, twins
 
     lines = [*tension(diagnosis), *headline(diagnosis)]
     lines += [line for cause in diagnosis.sized_causes for line in _cause_lines(cause)]
@@ -194,7 +194,7 @@ def _text(diagnosis: Diagnosis) -> str:
         words = correction.words(diagnosis.label)
         lines += [words] if words not in lines else []  # the first box says it where it is what to do
     if diagnosis.left_open.twins:
-        lines.append(f"this session cannot tell apart: {twins(diagnosis)}")
+        lines.append(f"this session cannot tell apart {AT_TYPICAL_SIZE}: {twins(diagnosis)}")
     fits, improvement = diagnosis.fits, diagnosis.improvement
     is_extended = fits.extended.rig.acting != fits.plain.rig.acting
     unseen = [] if improvement is None else [unseen_line(improvement, is_extended=is_extended)]

@@ -34,7 +34,8 @@ def hypotheses_tables(diagnosis: Diagnosis) -> Iterator[Table]:
                 ]
                 for h in listed
             ],
-            "Log Bayes factors are over “nothing wrong”, with all other leading causes and departures in the model.",
+            "Log Bayes factors are over “nothing wrong”, with all other leading causes and departures in the model. Probabilities add how "
+            "common each hypothesis is, but neither halves of the readings nor imitations, which count in those of the verdict.",
         )
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 
 from estimator.diagnosis.intervals import CLEAR_SD
-from estimator.diagnosis.next_readings.resolution import Visible
+from estimator.diagnosis.next_readings.resolution import TYPICAL_SIGMA, Visible
 from estimator.diagnosis.result import Diagnosis
 from estimator.effects import EFFECTS, ORDER
 from estimator.effects.base import Kind
@@ -20,6 +20,7 @@ from estimator.units import split_quotient
 PLACE = ("x_m", "y_m", "z_m")  # keys of a place
 PLANE = ("axis", "distance_m")  # keys of a plane: the axis across it, and where it crosses that axis
 LEAST_UNSEEN = 0.1  # share of usual sizes that stay unseen from which on one is told
+AT_TYPICAL_SIZE = f"at {TYPICAL_SIGMA:.0f} standard deviations"  # larger causes they may tell apart
 KINDS_TOLD = (Kind.ROOM, Kind.COIL, Kind.SENSOR, Kind.MOVER)
 
 
@@ -107,13 +108,13 @@ def visible_tables(diagnosis: Diagnosis) -> Iterator[Table]:
     if hidden := sorted(cause.label for cause, own in of_cause.items() if not own):
         caption += f" Not visible at any plausible size: {', '.join(hidden)}."
     if diagnosis.left_open.twins:
-        caption += f" These readings cannot tell apart: {twins(diagnosis)}."
+        caption += f" These readings cannot tell apart {AT_TYPICAL_SIZE}: {twins(diagnosis)}."
     header = ["cause", "smallest visible size", "there", "absorbed by"]
     yield Table("What these readings can show", header, rows, caption)
 
 
 def twins(diagnosis: Diagnosis) -> str:
-    """Groups of causes that these readings cannot tell apart."""
+    """Groups of causes that these readings cannot tell apart where one of them has a typical size."""
     groups = diagnosis.left_open.twins
     return "; ".join(" = ".join(diagnosis.label(cause) for cause in group) for group in groups)
 

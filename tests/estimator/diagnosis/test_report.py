@@ -53,6 +53,17 @@ def test_smallest_visible_sizes_are_told_with_their_place_and_what_absorbs_them(
     assert in_json["hidden_in"] in diagnosis.fits.plain.posterior.coordinates.quantities
 
 
+def test_twins_are_those_of_causes_of_a_typical_size_for_larger_ones_are_told_apart(diagnosis, text):
+    """The Earth's field at 45 standard deviations was named apart from a zero where both were also said to look alike."""
+    assert diagnosis.left_open.twins
+    assert "cannot tell apart at 8 standard deviations: " in text
+
+
+def test_probabilities_of_a_comparison_are_told_from_those_of_the_verdict(text):
+    """They differ: a zero of a sensor was stated with 35 %, and had 99.7 % in its comparison."""
+    assert "neither halves of the readings nor imitations, which count in those of the verdict" in text
+
+
 def test_a_number_that_the_extension_only_loosens_is_not_said_to_have_been_wrong(diagnosis):
     """Five standard deviations off, known as well and four times less well."""
     improvement = diagnosis.improvement
