@@ -13,6 +13,7 @@ import pytest
 
 from estimator import Calibration, Session
 from estimator.cli.calibrate import _text
+from estimator.diagnosis.statements.moved import MOVED_TITLE
 from estimator.reporting.page import ReportPage, Table, render_report
 from estimator.rig_files.write import rig_text
 from scripts.studies.judge.case import CALIBRATE_TEXT, DIAGNOSE_TEXT, Case
@@ -77,7 +78,7 @@ def told(folder: Path, small_session: Session) -> Told:
         (folder / "diagnosis" / "diagnosis.json").write_text(
             json.dumps(DIAGNOSED | diagnosed), encoding="utf-8"
         )
-        tables = [Table("Parameters biased in the plain model", MOVED, [moved])] if moved else []
+        tables = [Table(MOVED_TITLE, MOVED, [moved])] if moved else []
         page = ReportPage("", "", [], [], [], tables, [], [], {})
         (folder / "diagnosis" / "report.html").write_text(render_report(page), encoding="utf-8")
         statements, _ = judged(Case(folder, truth))

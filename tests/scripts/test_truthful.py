@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from estimator.diagnosis.statements.moved import NO_LONGER_DETERMINED
 from estimator.effects import EFFECTS
 from estimator.readings.observations import Observations
 from scripts.studies.judge import of_calibration, sessions
@@ -221,6 +222,7 @@ def test_an_outlier_is_far_from_what_is_true(told, small_session, off_sigma, is_
 def test_a_parameter_that_was_right_is_not_biased(told, before, is_true):
     row = ["radius", before, "51.80 ± 0.90", "mm", "−20.0"]
     assert are_true(told("", "", hidden(GAIN), moved=row), "biased") == [is_true]
+    assert "biased" not in told("", "", hidden(GAIN), moved=[*row[:4], NO_LONGER_DETERMINED])
 
 
 def test_the_error_on_unseen_readings_is_that_of_what_was_handed_out(told, unseen_uT):

@@ -48,6 +48,7 @@ def impact_sd(fit: Fit, cause: Cause) -> dict[str, float]:
 
 
 MOST_COLUMNS = 6
+MOVED_TITLE = "Parameters that the extension moves"
 NO_LONGER_DETERMINED = "no longer determined"
 
 
@@ -69,7 +70,7 @@ def _moved_table(diagnosis: Diagnosis) -> Table:
         distance = NO_LONGER_DETERMINED if shown.name in loosened else _signed(number.moved_sd)
         rows.append([shown.words, before, after, shown.unit or "1", distance])
     return Table(
-        "Parameters that the extension moves",
+        MOVED_TITLE,
         ["parameter", "before", "after", "unit", "moved (sd)"],
         rows,
         "Parameters of the rig that lie elsewhere by more than one standard deviation of the plain fit. What the extended rig knows "

@@ -11,6 +11,7 @@ import numpy as np
 
 from estimator.diagnosis import effort
 from estimator.diagnosis.statements.causes import LEAST_DOUBT
+from estimator.diagnosis.statements.moved import MOVED_TITLE, NO_LONGER_DETERMINED
 from estimator.reporting.numbers import displays, quantity_words
 from scripts.studies.judge.advice import OF_DIAGNOSE
 from scripts.studies.judge.case import DIAGNOSE_TEXT, Case, axes_of, rows_of
@@ -282,9 +283,9 @@ def outliers(case: Case) -> Iterator[Statement]:
 
 
 def moved(case: Case) -> Iterator[Statement]:
-    """Parameters that are said to be biased in the plain model."""
-    title = next((t for t in case.tables if t.startswith("Parameters biased in the plain model")), None)
-    if case.truth is None or title is None:
+    """Parameters that the extension moves: what was there before was biased, unless they are no longer determined."""
+    rows = case.tables.get(MOVED_TITLE, [])[1:]
+    if case.truth is None:
         return
     shown = {
         show.words: (name, show.factor)
@@ -293,14 +294,14 @@ def moved(case: Case) -> Iterator[Statement]:
     shown |= {
         s.words: (n, s.factor) for n, s in displays(list(case.truth.values)).items() if s.words not in shown
     }
-    for row in case.tables[title][1:]:
+    for row in (row for row in rows if row[4] != NO_LONGER_DETERMINED):
         name, factor = shown.get(row[0], ("", 1.0))
         true, moved_sd = case.truth.values.get(name), size_of(row[4])
         before, sd = (size_of(part) for part in re.split(r"\s*±\s*", row[1], maxsplit=1))
         if true is None or moved_sd == 0.0 or sd <= 0.0:
             continue
         bias_sd = (true * factor - before) / sd
-        text = f"{row[0]} biased in the plain model: {row[1]} -> {row[2]} {row[3]}, {row[4]} sd"
+        text = f"{row[0]} moved by the extension: {row[1]} -> {row[2]} {row[3]}, {row[4]} sd"
         is_true = abs(moved_sd - bias_sd) < CLEARLY_OFF or bias_sd / moved_sd > 0.5
         why = f"true {true * factor:.6g}, {bias_sd:+.1f} sd from the plain value (hidden: {case.truth.words})"
         yield Statement("biased", DIAGNOSE, text, is_true, why)
