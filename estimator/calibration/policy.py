@@ -25,5 +25,5 @@ FAR_SD = 3.5
 then looks for a mistake of the record. Statistics: 0.05 % of right priors, since there are a dozen of them."""
 
 LEAST_COVERAGE90 = 0.75
-"""Share of the components of unseen readings inside their 90 % intervals below which these are suspect. Statistics: four standard
-deviations for twenty readings."""
+"""Share of the components of unseen readings inside their 90 % intervals below which these are suspect, if chance alone leaves so few
+with a probability below `LEAST_AGREEMENT`. Statistics: four standard deviations for twenty readings of three components."""

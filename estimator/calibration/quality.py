@@ -14,6 +14,7 @@ from enum import StrEnum
 from typing import Any
 
 import numpy as np
+from scipy.special import bdtr
 
 from estimator.calibration import policy
 from estimator.calibration.halves import disagreements, unseen
@@ -123,7 +124,8 @@ def assessment(
         *_missed_unseen(fit, calibration),
         *tensions((p for p in rig.free if not p.name.endswith(".noise_T")), medians),
     ]
-    if coverage90 is not None and coverage90 < policy.LEAST_COVERAGE90:
+    readings = getattr(calibration.observations, role)
+    if coverage90 is not None and is_too_few(coverage90, int(readings.is_measured.sum())):
         reasons.append(f"only {percent(coverage90)} of the readings' components lie in their 90 % intervals.")
     if (next_degree_log_evidence or 0.0) > CLEAR_LOG_EVIDENCE:
         reasons.append(
@@ -147,6 +149,21 @@ def assessment(
         "from what is expected."
     )
     return Assessment(Quality.GOOD, (reason,), LOOK_CLOSER)
+
+
+def is_too_few(coverage90: float, n_components: int) -> bool:
+    """Whether fewer components lie in their 90 % intervals than chance explains.
+
+    Args:
+        coverage90: Share of the components.
+        n_components: How many there are; of one-axis readings there may be a dozen.
+
+    Examples:
+        >>> is_too_few(8 / 12, 12), is_too_few(5 / 12, 12), is_too_few(0.7, 60), is_too_few(0.8, 6000)
+        (False, True, True, False)
+    """
+    by_chance = float(bdtr(round(coverage90 * n_components), n_components, 0.9))
+    return coverage90 < policy.LEAST_COVERAGE90 and by_chance < policy.LEAST_AGREEMENT
 
 
 def tensions(parameters: Iterable[Parameter], values: Mapping[str, float]) -> list[str]:
