@@ -7,7 +7,7 @@ doubles each; docs/studies/policy.txt has the table). Below each stands what it 
 Limits of effort stand in `effort.py`. Left where they are used: guards against rounding (`TINY`, `ROUNDING`), steps of differences, grids,
 batches that fit the processor's cache, thresholds of what a reader is told, and what effects start from or estimate (`effects/`). How
 readings are blocked is a matter of `readings/split.py`; half of the prior of a cause belongs to all its quantities together, half to some
-of them (`hypotheses/screening.py`).
+of them (`mixture/listed.py`).
 """
 
 from __future__ import annotations

@@ -12,7 +12,7 @@ from torch import Tensor
 
 from estimator.diagnosis import policy
 from estimator.diagnosis.fitting import Fit
-from estimator.diagnosis.linear import log_bayes_factor_by_width, log_mean_exp
+from estimator.diagnosis.linear import log_bayes_factor, log_mean_exp
 from estimator.field.harmonics import coefficients, gradients
 
 
@@ -85,8 +85,8 @@ class Collection:
 
     def _by_amplitude(self, columns: Float[Tensor, "component column"]) -> Float[Tensor, " amplitude"]:
         fit, amplitudes = self.fit, columns.new_tensor(policy.AMPLITUDES)
-        gram, score = fit.projector.own_gram(columns), columns.T @ fit.residual
-        return log_bayes_factor_by_width(gram, score, amplitudes, fit.free_noise)
+        gram, score = fit.projector.gram(columns, columns), columns.T @ fit.residual
+        return log_bayes_factor(gram, score, amplitudes, fit.free_noise)
 
 
 def axes_of(fit: Fit) -> Float[Tensor, "reading 3 direction"]:

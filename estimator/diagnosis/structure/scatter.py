@@ -144,11 +144,4 @@ def _evidence(columns: Float[Tensor, "reading column"], score: Float[Tensor, " r
         return 0.0
     columns = (columns / rms).to(score.dtype)
     gram, projected = columns.T @ columns, columns.T @ score
-    return log_mean_exp(
-        torch.stack(
-            [
-                log_bayes_factor(gram, projected, torch.full_like(projected, amplitude))
-                for amplitude in SCATTER_AMPLITUDES
-            ]
-        )
-    )
+    return log_mean_exp(log_bayes_factor(gram, projected, score.new_tensor(SCATTER_AMPLITUDES)))

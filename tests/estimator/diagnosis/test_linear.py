@@ -12,8 +12,8 @@ from scipy import integrate, stats
 from estimator.diagnosis.linear import (
     FreeNoise,
     Projector,
-    log_bayes_factor,
 )
+from estimator.diagnosis.linear import log_bayes_factor as log_bayes_factor_by_width
 
 
 def problem(seed: int, n: int = 40) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]:
@@ -22,6 +22,12 @@ def problem(seed: int, n: int = 40) -> tuple[torch.Tensor, torch.Tensor, torch.T
     jacobian, columns = (torch.randn(n, k, generator=random, dtype=torch.float64) for k in (3, 2))
     residual = torch.randn(n, generator=random, dtype=torch.float64)
     return jacobian, torch.diag(torch.tensor([0.5, 2.0, 1.0], dtype=torch.float64)), columns, residual
+
+
+def log_bayes_factor(gram, score, prior_sd, noise=None) -> torch.Tensor:
+    """Evidence of columns whose coefficients have standard deviations of their own."""
+    scaled = gram * prior_sd[:, None] * prior_sd
+    return log_bayes_factor_by_width(scaled, score * prior_sd, torch.ones(1).double(), noise)[0]
 
 
 def test_evidence_of_one_column_is_the_integral_over_its_coefficient():
