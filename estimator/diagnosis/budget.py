@@ -18,6 +18,7 @@ import torch
 from jaxtyping import Float
 
 from estimator.diagnosis import effort, policy
+from estimator.diagnosis.expectation import predict_T
 from estimator.diagnosis.fitting import Fit, fit_rig
 from estimator.effects.use import as_meant
 from estimator.inference.likelihood import LogPosterior
@@ -206,10 +207,8 @@ def _fit_with(plain: Fit, extended: Fit, causes: Collection[Cause]) -> Fit:
 
 def _squares(fit: Fit, unseen: Observations) -> Squares:
     """Squared length of the error vector of each reading, in T^2."""
-    meant = as_meant(fit.rig, unseen)
-    with torch.no_grad():
-        predicted_T = fit.model_of(meant).predict(fit.values).expand(len(meant), 3)
-    return (meant.field_sensor_T - predicted_T).nan_to_num().square().sum(-1).numpy()
+    missed_T = as_meant(fit.rig, unseen).field_sensor_T - predict_T(fit, fit.values, unseen)
+    return missed_T.nan_to_num().square().sum(-1).numpy()
 
 
 def _noise(fit: Fit, unseen: Observations) -> Squares:

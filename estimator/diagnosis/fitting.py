@@ -78,7 +78,7 @@ class Fit:
     @cached_property
     def log_evidence(self) -> float:
         """Laplace evidence with normalised priors of the effects, up to a constant that rigs share if they differ only in effects."""
-        normalisers = sum(_log_normaliser(p) for p in _of_effects(self.rig))
+        normalisers = sum(p.prior.log_normaliser for p in _of_effects(self.rig) if p.prior is not None)
         return float(log_evidence(self.optimum)[0]) + normalisers + self._log_share_inside
 
     def foretold(self, rig: Rig) -> Fit:
@@ -398,9 +398,3 @@ def fit_rig(
 def _of_effects(rig: Rig) -> list[Parameter]:
     labels = tuple(f"{cause.label}." for cause in rig.acting)
     return [p for p in rig.free if p.name.startswith(labels)] if labels else []
-
-
-def _log_normaliser(parameter: Parameter) -> float:
-    """Log of the constant that `Prior.log_density` leaves out."""
-    assert parameter.prior is not None
-    return parameter.prior.log_normaliser

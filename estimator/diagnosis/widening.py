@@ -154,25 +154,13 @@ def _roots(covariance: Float[Tensor, "n n"]) -> tuple[Float[Tensor, "n n"], Floa
 def envelope(covariance: Float[Tensor, "n n"], *others: Float[Tensor, "n n"]) -> Float[Tensor, "n n"]:
     """A covariance that is in no direction below any of these; with one other the smallest, in the principal axes of the pair.
 
-    Examples:
-        >>> envelope(torch.diag(torch.tensor([1.0, 4.0])), torch.diag(torch.tensor([9.0, 1.0])))
-        tensor([[9., 0.],
-                [0., 4.]])
-    """
-    stretched = stretch(covariance, *others)
-    return stretched @ covariance @ stretched.T
-
-
-def stretch(covariance: Float[Tensor, "n n"], *others: Float[Tensor, "n n"]) -> Float[Tensor, "n n"]:
-    """The linear map from a covariance to its envelope with others; directions that are wide enough stay.
-
     All others are seen in units of the first covariance. It should therefore be that of a fit: one that was stretched by much in some
     directions has lost the digits of the rest, and a second stretch would make predictions uncertain by what was lost.
 
     Examples:
-        >>> stretch(torch.diag(torch.tensor([1.0, 4.0])), torch.diag(torch.tensor([9.0, 1.0])))
-        tensor([[3., 0.],
-                [0., 1.]])
+        >>> envelope(torch.diag(torch.tensor([1.0, 4.0])), torch.diag(torch.tensor([9.0, 1.0])))
+        tensor([[9., 0.],
+                [0., 4.]])
     """
     root, whitener = _roots(covariance)
     growth = torch.eye(len(covariance), dtype=covariance.dtype)
@@ -181,7 +169,8 @@ def stretch(covariance: Float[Tensor, "n n"], *others: Float[Tensor, "n n"]) -> 
         whitened = inward @ other @ inward.T
         ratio, axes = torch.linalg.eigh(0.5 * (whitened + whitened.T))
         growth = growth @ (axes * torch.sqrt(ratio.clamp(min=1.0))) @ axes.T
-    return root @ growth @ whitener.T
+    stretched = root @ growth @ whitener.T
+    return stretched @ covariance @ stretched.T
 
 
 def with_whole_counts(

@@ -62,10 +62,6 @@ class Candidate:
         """Whether some of its quantities are a single one that starts at the lower bound of its prior."""
         return len(subset) == 1 and subset[0] in self.one_sided
 
-    def weighed(self, weight: Float[Tensor, " component"]) -> Candidate:
-        """The candidate with each component's weight multiplied."""
-        return replace(self, shift=self.shift * weight, columns=self.columns * weight[:, None])
-
     @property
     def subsets(self) -> tuple[tuple[int, ...], ...]:
         """Columns that may be present alone: each, each pair, those of one sensor element or segment, all but these, and (last) all."""
@@ -180,8 +176,9 @@ def _meanwhile(fit: Fit, cause: Cause, starts: list[dict[str, float]]) -> list[C
     def between(candidate: Candidate, start: dict[str, float]) -> Candidate:
         instants_h = {key: candidate.shift.new_tensor(start[key]) for key in start if key in always}
         is_there = is_meanwhile(circumstances.hours, instants_h)
-        rows = fit.posterior.measured_components(is_there[:, None].expand(-1, 3))
-        return replace(candidate.weighed(rows.to(candidate.shift)), shapes=start)
+        rows = fit.posterior.measured_components(is_there[:, None].expand(-1, 3)).to(candidate.shift)
+        shift, columns = candidate.shift * rows, candidate.columns * rows[:, None]
+        return replace(candidate, shapes=start, shift=shift, columns=columns)
 
     of_whole = {**starts[0], **{key: value for key, value in always.items() if key in starts[0]}}
     return [between(candidate, start) for candidate in _at_starts(fit, cause, [of_whole]) for start in starts]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from functools import lru_cache
 
 import torch
@@ -38,25 +37,16 @@ def _orthonormalised(degree: int) -> Float[Tensor, "term term"]:
 VANISHING = 1e-9  # of the largest column, in the root mean square: rounding
 
 
-@dataclass(frozen=True)
-class Curves:
-    """Columns that depend on one circumstance.
+class Collection:
+    """Curves for the residual of one fit; columns that vanish are left out.
 
     Attributes:
-        name: What they depend on, in words; curves with the same name are alternatives.
-        columns: Whitened; the mean over components of their summed squares is 1.
+        curves: By what they depend on, in words, whitened columns of alternatives; the mean over components of their summed squares is 1.
     """
-
-    name: str
-    columns: Float[Tensor, "component column"]
-
-
-class Collection:
-    """Curves for the residual of one fit; columns that vanish are left out."""
 
     def __init__(self, fit: Fit) -> None:
         self.fit = fit
-        self.curves: list[Curves] = []
+        self.curves: dict[str, list[Float[Tensor, "component column"]]] = {}
 
     def add(
         self,
@@ -74,14 +64,14 @@ class Collection:
         columns = columns[length > VANISHING * float(length.norm())]
         if len(columns):
             rms = columns.square().sum(0).mean().sqrt()
-            self.curves.append(Curves(name, columns.T / rms))
+            self.curves.setdefault(name, []).append(columns.T / rms)
 
     def evidence(self) -> dict[str, float]:
         """Log Bayes factor by name against noise, averaged over amplitudes and alternatives."""
-        values: dict[str, list[Tensor]] = {}
-        for curves in self.curves:
-            values.setdefault(curves.name, []).append(self._by_amplitude(curves.columns))
-        return {name: log_mean_exp(torch.cat(each)) for name, each in values.items()}
+        return {
+            name: log_mean_exp(torch.cat(list(map(self._by_amplitude, alternatives))))
+            for name, alternatives in self.curves.items()
+        }
 
     def _by_amplitude(self, columns: Float[Tensor, "component column"]) -> Float[Tensor, " amplitude"]:
         fit, amplitudes = self.fit, columns.new_tensor(policy.AMPLITUDES)

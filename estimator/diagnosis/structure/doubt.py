@@ -19,15 +19,12 @@ class Doubt:
     log_bayes_factor: float
 
     @property
-    def _log_odds(self) -> float:
-        return self.log_bayes_factor + policy.LOG_PRIOR_ODDS_LEFT
-
-    @property
     def probability(self) -> float:
         """Posterior probability of something wrong."""
-        return 1.0 / (1.0 + math.exp(-min(max(self._log_odds, -700.0), 700.0)))
+        log_odds = self.log_bayes_factor + policy.LOG_PRIOR_ODDS_LEFT
+        return 1.0 / (1.0 + math.exp(-min(max(log_odds, -700.0), 700.0)))
 
     @property
     def is_probable(self) -> bool:
-        """Whether the posterior odds favour something wrong."""
-        return self._log_odds > policy.LEAST_LOG_ODDS_LEFT
+        """Whether something wrong is as probable as what is stated."""
+        return self.probability > policy.STATED

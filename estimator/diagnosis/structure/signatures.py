@@ -6,7 +6,7 @@ several causes together it shows the largest.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
 import torch
@@ -15,7 +15,7 @@ from torch import Tensor
 
 from estimator.diagnosis import policy
 from estimator.diagnosis.fitting import Fit
-from estimator.diagnosis.structure.covariates import predicted_T, sensor_in_coils, sensor_in_room
+from estimator.diagnosis.structure.covariates import predicted_T, sensor_in_room
 from estimator.diagnosis.structure.curves import Collection, axes_of, before, dipoles, harmonic_gradients
 from estimator.diagnosis.structure.smooth import legendre, polynomials, unit_interval
 from estimator.model.bodies import round_winding_of
@@ -73,12 +73,11 @@ def _stays_with(fit: Fit) -> Evidence:
     largest_T = field_T.abs().max().clamp(min=1e-12)
     along_field = torch.diag_embed(field_T / largest_T)
     collection = Collection(fit)
-    for i, (coil, position_m) in enumerate(sensor_in_coils(fit).items()):
-        rotation = _sensor_from_coil(fit, fit.rig.coils[i])
+    for coil, position_m, rotation, drive in _around_coils(fit):
         for degree in SIGNATURE_DEGREES:
             position = polynomials(unit_interval(position_m), degree)
-            collection.add(coil, position * _drive(fit, i)[:, None], rotation)
-            collection.add(coil, position, rotation)
+            collection.add(coil.name, position * drive[:, None], rotation)
+            collection.add(coil.name, position, rotation)
     collection.add("constant", constant, axes)
     position_m, sensor_from_world = sensor_in_room(fit)
     for degree in SIGNATURE_DEGREES:
@@ -95,11 +94,8 @@ def _stays_with(fit: Fit) -> Evidence:
 
 
 def _current(fit: Fit) -> Evidence | None:
-    circumstances = fit.circumstances
     collection = Collection(fit)
-    for i, position_m in enumerate(sensor_in_coils(fit).values()):
-        drive = _drive(fit, i)
-        rotation = _sensor_from_coil(fit, fit.rig.coils[i])
+    for _, position_m, rotation, drive in _around_coils(fit):
         if float(drive.max() - drive.min()) < SAME:
             continue
         sizes = torch.unique((drive.abs() / SAME).round())
@@ -111,20 +107,18 @@ def _current(fit: Fit) -> Evidence | None:
                 collection.add("even", position * drive[:, None] ** 2, rotation)
             if len(sizes[sizes > 0.0]) > 1:
                 collection.add("cubic", position * drive[:, None] ** 3, rotation)
-    return collection.evidence() if collection.curves and len(circumstances) else None
+    return collection.evidence() if collection.curves else None
 
 
 def _field_equations(fit: Fit) -> Evidence | None:
     collection = Collection(fit)
-    for i, position_m in enumerate(sensor_in_coils(fit).values()):
+    for coil, position_m, rotation, drive in _around_coils(fit):
         if _are_flat(position_m):
             continue  # in a plane or on a line any vector field can be magnetic
-        rotation = _sensor_from_coil(fit, fit.rig.coils[i])
-        drive = _drive(fit, i)
         middle_m = position_m.mean(0)
         inner = (position_m - middle_m) / (position_m - middle_m).norm(dim=-1).max()
         sources = [harmonic_gradients(inner, degree) / degree**2 for degree in range(1, HARMONIC_DEGREE + 1)]
-        coil, fields_of_sources = fit.rig.coils[i], [torch.cat(sources, dim=1)]
+        fields_of_sources = [torch.cat(sources, dim=1)]
         if (winding := round_winding_of(fit.rig, coil, fit.values)) is not None:
             fields_of_sources.append(dipoles(position_m / winding.radius_m))
         for drive_factor in (drive, torch.ones_like(drive)):
@@ -143,17 +137,13 @@ def _are_flat(position_m: Float[Tensor, "reading 3"]) -> bool:
     return bool(extents[-1] <= FLAT * extents[0])
 
 
-def _drive(fit: Fit, coil: int) -> Float[Tensor, " reading"]:
+def _around_coils(fit: Fit) -> Iterator[tuple[AnyCoil, Tensor, Tensor, Tensor]]:
+    """Each coil with the places of the sensor in its frame, the rotations sensor_from_coil, and its current over the largest."""
     circumstances = fit.circumstances
-    return circumstances.current_A[:, coil] / circumstances.largest_current_A
-
-
-def _sensor_from_coil(fit: Fit, coil: AnyCoil) -> Float[Tensor, "reading 3 3"]:
-    model = fit.posterior.model
-    all_rows = model.every_row
-    with torch.no_grad():
-        _, rotation = model.sensor_in_coil(coil, all_rows, fit.values)
-    return rotation.expand(len(all_rows), 3, 3)[model.pose_row]
+    for i, coil in enumerate(fit.rig.coils):
+        position_m, coil_from_sensor = fit.posterior.model.readings_in_coil(coil, fit.values)
+        drive = circumstances.current_A[:, i] / circumstances.largest_current_A
+        yield coil, position_m, coil_from_sensor.mT, drive
 
 
 WORDS: Mapping[str, str] = {
