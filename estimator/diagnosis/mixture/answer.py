@@ -43,7 +43,7 @@ class Answer:
 
     first: Asked
     asked: Asked
-    in_halves: tuple[Samples, ...]
+    in_halves: tuple[Samples, ...] = ()
     expected: Mapping[int, float] = field(default_factory=dict)
     ended_early: str = ""
     refused: frozenset[Cause] = frozenset()
@@ -151,8 +151,7 @@ class Answer:
 
     def _evidence_of(self, chosen: Sequence[int]) -> dict[int, float]:
         """Log Bayes factor of each of some items beside the others."""
-        gains = self.asked.slots.products.gains(chosen, self.asked.noise)
-        return dict(zip(chosen, gains, strict=True))
+        return self.asked.slots.products.gains(chosen, self.asked.noise)
 
     def _expected(self, own: Sequence[int]) -> float:
         """Probability that halves are expected to give items of a set; as if they were sure of it where none were asked."""
@@ -192,8 +191,7 @@ class Answer:
 
     def _outweighs_the_rest(self, entry: Found) -> bool:
         """Whether a set has more than twice the evidence that any item has beside all slots: what is not asked for could imitate less."""
-        listed = [possibility.cause for possibility in entry.possibilities if possibility.is_listed]
-        own = self.beside_item(self.item_of(entry.first_listed), listed).log_bayes_factor(listed)
+        own = self.in_place_of(entry).log_bayes_factor(entry.listed)
         return own > policy.OUTWEIGHS * self._most_beside_all
 
     @cached_property
@@ -256,10 +254,7 @@ class Answer:
 
     def sizes_of(self, item: int) -> Float[Tensor, " column"]:
         """Coefficients of an item's columns, beside the leading set."""
-        asked = self.asked
-        others = [i for i in asked.leading if i != item]
-        sizes, _ = asked.slots.products.sizes([*others, item], asked.noise)
-        return sizes[len(sizes) - len(asked.dictionary.items[item].columns) :]
+        return self.asked.sizes_of(item, [i for i in self.asked.leading if i != item])
 
     def shapes_of(self, cause: Cause) -> dict[str, float]:
         """Shapes of a cause: as fitted where the expansion has it or it was fitted as a rival, else those of its start."""
@@ -276,6 +271,10 @@ class Answer:
         rest = tuple(i for i in self.asked.leading if i != item and items[i].cause not in taken)
         return Comparison(self.asked, rest, tuple(taken))
 
+    def in_place_of(self, entry: Found) -> Comparison:
+        """All hypotheses in the place of the listed causes of a set."""
+        return self.beside_item(self.item_of(entry.first_listed), entry.listed)
+
     def share_moved(self, cause: Cause) -> float:
         """Share of the asked components that a listed cause moves: the inverse participation ratio of the squares of its change."""
         item = self.item_of(cause)
@@ -285,13 +284,7 @@ class Answer:
     @cached_property
     def comparisons(self) -> tuple[Comparison, ...]:
         """All hypotheses in the place of each stated cause; last, beside all that leads."""
-        stated = [
-            self.beside_item(
-                self.item_of(entry.first_listed), [p.cause for p in entry.possibilities if p.is_listed]
-            )
-            for entry in self.stated
-        ]
-        return (*stated, Comparison(self.asked, self.asked.leading))
+        return (*map(self.in_place_of, self.stated), Comparison(self.asked, self.asked.leading))
 
     @property
     def alone(self) -> Comparison:

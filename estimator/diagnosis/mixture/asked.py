@@ -9,6 +9,8 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import torch
+from jaxtyping import Float
+from torch import Tensor
 
 from estimator.diagnosis import policy
 from estimator.diagnosis.hypotheses.candidates import Candidate
@@ -67,12 +69,17 @@ class Asked:
         sizes, _ = self.slots.products.sizes(chosen, self.noise)
         return self.expansion.moved(self.dictionary, chosen, sizes)
 
+    def sizes_of(self, item: int, beside: Sequence[int]) -> Float[Tensor, " column"]:
+        """Coefficients of an item's columns, beside others."""
+        sizes, _ = self.slots.products.sizes([*beside, item], self.noise)
+        return sizes[len(sizes) - len(self.dictionary.items[item].columns) :]
+
     def new_in(self, model: Sequence[int], known: Collection[Cause] = ()) -> list[int]:
         """Listed items of a set that the expansion lacks, clearest first; without some that are known."""
         causes = (*self.expansion.causes, *known)
         items = self.dictionary.items
         new = [i for i in model if items[i].is_listed and items[i].cause not in causes]
-        gain = dict(zip(model, self.slots.products.gains(model, self.noise), strict=True)) if new else {}
+        gain = self.slots.products.gains(model, self.noise) if new else {}
         return sorted(new, key=lambda i: -gain[i])
 
     def is_worse_than(self, before: Asked, causes: Collection[Cause]) -> bool:

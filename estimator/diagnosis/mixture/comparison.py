@@ -79,38 +79,30 @@ class Comparison:
 
     def best_item(self, cause: Cause) -> int:
         """The most probable item of a cause, beside the others."""
-        own = [i for i, item in enumerate(self.asked.dictionary.items) if item.cause == cause]
-        joint = self._log_bayes_factors[own] + self.asked.slots.log_prior[own]
-        return own[int(joint.argmax())]
+        return self._best([i for i, item in enumerate(self.asked.dictionary.items) if item.cause == cause])
 
     @cached_property
     def best_departure(self) -> int | None:
         """The most probable item that no list holds; None where there is none."""
         own = [i for i, item in enumerate(self.asked.dictionary.items) if not item.is_listed]
-        if not own:
-            return None
+        return self._best(own) if own else None
+
+    def _best(self, own: Sequence[int]) -> int:
+        """The most probable of some items."""
         return own[int((self._log_bayes_factors[own] + self.asked.slots.log_prior[own]).argmax())]
 
     def change(self, item: int) -> Float[Tensor, " component"]:
         """Whitened change of the predictions by an item, beside the others, less what the rig's numbers can follow."""
         asked = self.asked
-        chosen = [*self.beside, item]
-        sizes, _ = asked.slots.products.sizes(chosen, asked.noise)
-        own, shift = asked.dictionary.items[item].columns, asked.dictionary.items[item].shift
-        change = asked.dictionary.columns[:, list(own)] @ sizes[len(sizes) - len(own) :]
-        if shift is not None:
-            change = change + asked.dictionary.columns[:, shift]
+        change = asked.dictionary.changed([item], asked.sizes_of(item, self.beside))
         return asked.expansion.always.rest(change)
 
     def left_sigma(self, item: int | None) -> float:
         """Rms of what is left beside the others and an item, in units of the noise."""
         asked = self.asked
         chosen = [*self.beside, *([] if item is None else [item])]
-        items, columns = asked.dictionary.items, asked.dictionary.columns
         sizes, _ = asked.slots.products.sizes(chosen, asked.noise)
-        numbers = [column for i in chosen for column in items[i].columns]
-        shifts = [shift for i in chosen if (shift := items[i].shift) is not None]
-        left = asked.dictionary.residual - columns[:, numbers] @ sizes - columns[:, shifts].sum(1)
+        left = asked.dictionary.residual - asked.dictionary.changed(chosen, sizes)
         return float(asked.expansion.always.rest(left).square().mean().sqrt()) / asked.noise
 
 

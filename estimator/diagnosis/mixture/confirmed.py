@@ -60,7 +60,7 @@ def confirmed(
         limits, seed, n_pairs, on_progress: As in `answer`.
     """
     plain = asked.expansion.plain
-    draft = _borne_out(Answer(first, asked, (), {}), seed)
+    draft = _borne_out(Answer(first, asked), seed)
     asked = draft.asked
     pace = Pace("what leads, in halves of the readings", on_progress)
     numbers = [i for i, largest in enumerate(asked.samples.largest) if largest > NEGLIGIBLE]
@@ -161,7 +161,5 @@ def with_rivals(answer: Answer) -> Answer:
 
 def _contenders(answer: Answer, entry: Found) -> list[int]:
     """Items of causes that may be rivals of a stated one: neither there beside it, nor possible only beside others."""
-    listed = [possibility.cause for possibility in entry.possibilities if possibility.is_listed]
-    comparison = answer.beside_item(answer.item_of(entry.first_listed), listed)
     leading = answer.asked.causes_of(answer.asked.leading)
-    return contenders(comparison, entry.first_listed, leading | answer.only_beside)
+    return contenders(answer.in_place_of(entry), entry.first_listed, leading | answer.only_beside)

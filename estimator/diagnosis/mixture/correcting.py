@@ -55,12 +55,8 @@ def corrected(answer: Answer, extended: Fit, after: Fit, limits: Limits) -> Corr
             part = _part(answer, entry, kind, at_place)
             if not part.is_predicted and entry.first.link is Link.CURRENT:
                 of_session.append(part)
-            elif at_place.cause not in departures:
-                departures[at_place.cause] = part, at_place
-            elif departures[at_place.cause][1].start == at_place.start:
-                before, there = departures[at_place.cause]
-                higher = max(part, before, key=lambda each: each.degree)
-                departures[at_place.cause] = higher, there.joined(at_place)
+            else:  # a rig has each correction once, and the surest comes first
+                departures.setdefault(at_place.cause, (part, at_place))
     for part, at_place in departures.values():
         terms = terms.with_departure(kinds[at_place.cause], part, at_place)
     parts, session = [part for part, _ in departures.values()], tuple(of_session)
@@ -131,13 +127,6 @@ class _AtPlace:
     start: dict[str, float]
     widths: dict[str, float]
     sizes: dict[str, float]
-
-    def joined(self, other: _AtPlace) -> _AtPlace:
-        """This departure and another of the same kind: their amplitudes add up."""
-        keys = dict.fromkeys((*self.widths, *other.widths))
-        widths = {k: math.hypot(self.widths.get(k, 0.0), other.widths.get(k, 0.0)) for k in keys}
-        sizes = {k: self.sizes.get(k, 0.0) + other.sizes.get(k, 0.0) for k in keys}
-        return replace(self, widths=widths, sizes=sizes)
 
 
 def _at_places(answer: Answer, number: int) -> list[_AtPlace]:

@@ -109,10 +109,10 @@ class Products:
         """Log Bayes factor of each item beside some others, against these alone."""
         return Beside(self, chosen, noise).evidence()
 
-    def gains(self, chosen: Sequence[int], noise: float) -> list[float]:
-        """Log Bayes factor of each of some items beside the others, against these alone."""
+    def gains(self, chosen: Sequence[int], noise: float) -> dict[int, float]:
+        """Log Bayes factor of each of some items beside the others, against these alone, by its number."""
         beside = Beside(self.among(chosen), range(len(chosen)), noise)
-        return [float(beside.evidence(without=i)[i]) for i in range(len(chosen))]
+        return {number: float(beside.evidence(without=i)[i]) for i, number in enumerate(chosen)}
 
     def sizes(self, chosen: Sequence[int], noise: float) -> tuple[Tensor, Tensor]:
         """Mean and covariance of the coefficients of some items' columns, one item after the other."""

@@ -192,22 +192,20 @@ class Expansion:
             chosen: The items that lead.
             sizes: Coefficients of their columns, one item after the other.
         """
-        items, sizes = [dictionary.items[i] for i in chosen], sizes.to(self.residual)
+        items, sizes = dictionary.items, sizes.to(self.residual)
         departed_T, start = torch.zeros_like(self.departed_T), dict[str, Tensor | float]()
         first, log_prior = 0, dict[Cause, float]()
-        listed = {item.cause: item.start for item in items if item.is_listed}
+        listed = {items[i].cause: items[i].start for i in chosen if items[i].is_listed}
         rig = self._with(listed, self.factors)
-        left = self.residual.clone()
-        for item in items:
+        for i in chosen:
+            item = items[i]
             own = sizes[first : first + len(item.columns)]
             first += len(item.columns)
-            changed = dictionary.columns[:, list(item.columns)] @ own
-            left -= changed if item.shift is None else changed + dictionary.columns[:, item.shift]
             if item.is_listed:
                 start |= self._start(rig, item, own)
                 log_prior[item.cause] = self.log_prior.get(item.cause, item.log_prior_of_start)
             else:
-                departed_T += changed / self.fit.whitening_per_T
+                departed_T += dictionary.changed([i], own) / self.fit.whitening_per_T
         readings = self.plain.observations
         if as_meant(
             self.plain.rig, readings
@@ -219,6 +217,7 @@ class Expansion:
             field_T[readings.is_measured] -= departed_T
             cleaned = readings.with_field(field_T)
         rules = self.plain.posterior.model.rules
+        left = self.residual - dictionary.changed(chosen, sizes)
         fit = fit_rig(rig, cleaned, {**self.fit.values, **start}, rules, other_start=self._moved(left))
         known = {cause: self.factors[cause] for cause in listed if cause in self.factors}
         fit, more = with_tails(

@@ -52,9 +52,14 @@ class Found:
         return self.possibilities[0]
 
     @property
+    def listed(self) -> list[Cause]:
+        """The listed causes among them."""
+        return [possibility.cause for possibility in self.possibilities if possibility.is_listed]
+
+    @property
     def first_listed(self) -> Cause:
         """The most probable listed cause."""
-        return next(possibility.cause for possibility in self.possibilities if possibility.is_listed)
+        return self.listed[0]
 
     @property
     def listed_share(self) -> float:

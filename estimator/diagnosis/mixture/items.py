@@ -78,6 +78,18 @@ class Dictionary:
     always: Projector
     prior_precision: Float[Tensor, "parameter parameter"]
 
+    def changed(self, chosen: Sequence[int], sizes: Float[Tensor, " size"]) -> Float[Tensor, " component"]:
+        """Whitened change of the predictions by some items.
+
+        Args:
+            chosen: Their numbers.
+            sizes: Coefficients of their columns, one item after the other.
+        """
+        items = [self.items[i] for i in chosen]
+        columns = [column for item in items for column in item.columns]
+        shifts = [item.shift for item in items if item.shift is not None]
+        return self.columns[:, columns] @ sizes.to(self.columns) + self.columns[:, shifts].sum(1)
+
     def restricted(self, numbers: Sequence[int]) -> Dictionary:
         """Some of the items, with the columns that these have."""
         items, columns = renumbered(self.items, numbers)

@@ -28,10 +28,8 @@ def _named(answer: Answer, found: Found) -> NamedCause:
             Alternative(p.cause, found.probability * p.share, _expected(fits, first.cause, p.cause))
             for p in others
         ),
-        answer.beside_item(answer.item_of(first.cause), [p.cause for p in listed]).log_bayes_factor(
-            [first.cause]
-        ),
-        1.0 - found.probability * sum(possibility.share for possibility in listed),
+        answer.in_place_of(found).log_bayes_factor([first.cause]),
+        1.0 - found.probability * found.listed_share,
         found.family,
     )
 
@@ -45,9 +43,8 @@ def _expected(fits: dict[Cause, Fit], truth: Cause, other: Cause) -> float:
 def alternative_fits(answer: Answer, found: Found) -> dict[Cause, Fit]:
     """Fits of the rig with each listed possibility of a set, beside the other stated causes."""
     others = [entry.first_listed for entry in answer.stated if entry != found]
-    causes = [possibility.cause for possibility in found.possibilities if possibility.is_listed]
-    fits = each(lambda cause: fit_with(answer, [*others, cause]), causes)
-    return dict(zip(causes, fits, strict=True))
+    fits = each(lambda cause: fit_with(answer, [*others, cause]), found.listed)
+    return dict(zip(found.listed, fits, strict=True))
 
 
 def fitted_with_stated(answer: Answer) -> Fit:

@@ -50,12 +50,9 @@ def _beside(answer: Answer, model: Sequence[int]) -> tuple[Tensor, Tensor]:
     """Mean and covariance of the rig's coordinates beside some items."""
     asked = answer.asked
     dictionary, expansion = asked.dictionary, asked.expansion
-    items = [dictionary.items[i] for i in model]
-    numbers = [column for item in items for column in item.columns]
-    shifts = [item.shift for item in items if item.shift is not None]
     sizes, spread = asked.slots.products.sizes(model, asked.noise)
-    columns = dictionary.columns[:, numbers]
-    left = dictionary.residual - columns @ sizes - dictionary.columns[:, shifts].sum(1)
+    columns = dictionary.columns[:, [column for i in model for column in dictionary.items[i].columns]]
+    left = dictionary.residual - dictionary.changed(model, sizes)
     own = expansion.always.factor @ expansion.always.factor.T
     following = own @ (expansion.always.jacobian.T @ columns)
     mean = expansion.prior_mean + own @ (expansion.always.jacobian.T @ left)

@@ -37,15 +37,10 @@ def evidence_of_relatives(asked: Asked, item: int) -> float:
     sizes = products.sizes(chosen, asked.noise)[0].to(dictionary.columns)
     numbers, widths, _ = products.of(chosen)
     columns, widths = numbers.tolist(), widths.to(sizes)
-    own = dictionary.items[item]
-    change = dictionary.columns[:, list(own.columns)] @ sizes[len(sizes) - len(own.columns) :]
-    if own.shift is not None:
-        change = change + dictionary.columns[:, own.shift]
+    change = dictionary.changed([item], sizes[len(sizes) - len(dictionary.items[item].columns) :])
     changed = always.rest(change[:, None] * _circumstances(asked)) / asked.noise
     of_chosen = always.rest(dictionary.columns[:, columns]) * (widths / asked.noise)
-    starts = [shift for i in chosen if (shift := dictionary.items[i].shift) is not None]
-    left = dictionary.residual - dictionary.columns[:, columns] @ sizes - dictionary.columns[:, starts].sum(1)
-    left = always.rest(left) / asked.noise
+    left = always.rest(dictionary.residual - dictionary.changed(chosen, sizes)) / asked.noise
     precision = of_chosen.T @ of_chosen + torch.eye(len(columns)).to(of_chosen)
     followed = torch.linalg.solve(precision, of_chosen.T @ changed)
     square = ((changed - of_chosen @ followed) * changed).sum(0)

@@ -281,7 +281,8 @@ class Slots:
             chosen = [i for i in slots if i is not None]
             if len(chosen) < 2:
                 break
-            strongest = chosen[int(np.argmax(self.products.gains(chosen, float(self.grid[noise]))))]
+            gains = self.products.gains(chosen, float(self.grid[noise]))
+            strongest = max(gains, key=gains.__getitem__)
             other, _ = self._barring(strongest).climbed()
             other, noise_there = self.climbed([i for i in other if i is not None])
             if self.log_density([i for i in other if i is not None]) < self.log_density(chosen) + HIGHER:

@@ -46,7 +46,7 @@ def answered(
     more = SimpleNamespace(
         conditional=lambda chosen, noise: np.array([0.9, 0.1])
     )  # one more item is probable
-    products = SimpleNamespace(gains=lambda chosen, noise: [evidence] * len(chosen))
+    products = SimpleNamespace(gains=lambda chosen, noise: dict.fromkeys(chosen, evidence))
     grid = torch.ones(1)
     slots = SimpleNamespace(n_slots=n_slots, conditional=more.conditional, products=products, grid=grid)
     asked.__dict__.update(dictionary=dictionary(ITEMS), samples=with_all, leading=leading, slots=slots)
@@ -143,7 +143,7 @@ def test_where_all_slots_are_full_a_cause_must_outweigh_what_any_further_item_co
     made = answered(samples(MODELS, BOTH), n_slots=2)
     made.asked.slots.evidence = lambda chosen, noise: torch.tensor([0.0, further])
     comparison = SimpleNamespace(log_bayes_factor=lambda causes: 100.0)
-    monkeypatch.setattr(Answer, "beside_item", lambda self, item, taken: comparison)
+    monkeypatch.setattr(Answer, "in_place_of", lambda self, entry: comparison)
     assert made.is_full
     assert len(made.stated) == (further < 50.0)
 
