@@ -6,13 +6,10 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
-import torch
-
-from estimator.diagnosis import effort, policy
+from estimator.diagnosis import effort
 from estimator.diagnosis.fitting import Fit, fit_rig
 from estimator.diagnosis.hypotheses.far_elsewhere import far_elsewhere, refit_outside
 from estimator.diagnosis.hypotheses.record_mistakes import (
-    RecordMistake,
     leaves_much_of_the_field,
     without_record_mistakes,
 )
@@ -22,7 +19,7 @@ from estimator.diagnosis.mixture.full_fits import leading_fit
 from estimator.diagnosis.mixture.scatter import BesideScatter, answer_beside_scatter
 from estimator.diagnosis.next_readings.resolution import Visible, indistinguishable, smallest_visible
 from estimator.diagnosis.progress import OnProgress
-from estimator.diagnosis.verdict import Alternative, NamedCause
+from estimator.diagnosis.verdict import NamedCause
 from estimator.errors import InvalidInput
 from estimator.rig.rig import Cause
 
@@ -31,7 +28,7 @@ class Asking(NamedTuple):
     """What the readings say beside mistakes of the record, and what they can show and tell apart of any cause."""
 
     said: BesideScatter
-    mistakes: Sequence[RecordMistake]
+    mistakes: Sequence[NamedCause]
     visible: Sequence[Visible]
     twins: Sequence[tuple[Cause, ...]]
 
@@ -49,6 +46,13 @@ def asked_beside_mistakes(
     A geometry that is refused is that of the record: it counts unless a mistake of the record, or another place of a body, puts it right.
     Where such a place explains the readings better than mistakes of the record do, there are none, and the place is a cause.
     """
+
+    def asked(base: Fit, mistakes: Sequence[NamedCause]) -> Asking:
+        said = answer_beside_scatter(base, limits, seed, tell, on_progress)
+        first = said.answer.first
+        at = (first.expansion.fit, first.pool)  # of one noise: a cause of scatter weighs readings anew
+        return Asking(said, mistakes, smallest_visible(*at), indistinguishable(*at))
+
     tell("looking for mistakes of the record")
     base, mistakes = without_record_mistakes(plain)
     if mistakes or refusal is not None:
@@ -56,48 +60,28 @@ def asked_beside_mistakes(
         if elsewhere and elsewhere[0].log_evidence > base.log_evidence:
             named = _named(plain, elsewhere)
             tell(f"asking what is wrong beside {named.cause.label}")
-            asked = _asked(elsewhere[0], [], limits, seed, tell, on_progress)
-            if not _are_doubtful([named], asked.said.answer):
-                stated = (named, *asked.said.given)
-                return asked._replace(said=replace(asked.said, given=stated))
+            there = asked(elsewhere[0], [])
+            if not _are_doubtful([named], there.said.answer):
+                return there._replace(said=replace(there.said, given=(named, *there.said.given)))
     if refusal is not None:
         base = refit_outside(base, refusal)
     tell("asking what is wrong")
-    with_record_put_right = _asked(base, mistakes, limits, seed, tell, on_progress)
+    with_record_put_right = asked(base, mistakes)
     if mistakes and _are_doubtful(mistakes, with_record_put_right.said.answer):
         if refusal is not None:
             raise refusal
         tell("the mistakes of the record are doubtful: asking again with the record as it is")
-        return _asked(plain, [], limits, seed, tell, on_progress)
+        return asked(plain, [])
     return with_record_put_right
-
-
-def _asked(
-    base: Fit,
-    mistakes: Sequence[RecordMistake],
-    limits: Limits,
-    seed: int,
-    tell: Callable[[str], None],
-    on_progress: OnProgress,
-) -> Asking:
-    said = answer_beside_scatter(base, limits, seed, tell, on_progress)
-    first = said.answer.first
-    at = (first.expansion.fit, first.pool)  # of one noise: a cause of scatter weighs readings anew
-    return Asking(said, mistakes, smallest_visible(*at), indistinguishable(*at))
 
 
 def _named(plain: Fit, elsewhere: Sequence[Fit]) -> NamedCause:
     """The best of other places of bodies, with those that explain the readings nearly as well."""
-    evidence = torch.tensor([fit.log_evidence for fit in elsewhere], dtype=torch.float64)
-    causes, shares = [fit.rig.effects[-1] for fit in elsewhere], torch.softmax(evidence, 0).tolist()
-    others = zip(causes[1:], shares[1:], strict=True)
-    alternatives = tuple(
-        Alternative(cause, share, None) for cause, share in others if share > policy.ALTERNATIVE
-    )
-    return NamedCause(causes[0], shares[0], alternatives, elsewhere[0].log_evidence - plain.log_evidence)
+    evidence = {fit.rig.effects[-1]: fit.log_evidence for fit in elsewhere}
+    return NamedCause.among(evidence, elsewhere[0].log_evidence - plain.log_evidence)
 
 
-def _are_doubtful(mistakes: Sequence[RecordMistake | NamedCause], answer: Answer) -> bool:
+def _are_doubtful(mistakes: Sequence[NamedCause], answer: Answer) -> bool:
     """Whether undoing the mistakes of the record may only have made the readings fit a wrong model.
 
     It may if something remains unexplained, and either that is more than a mistake explained, or the record as it was put right still left

@@ -17,9 +17,6 @@ from estimator.diagnosis.extension import extended_rig
 from estimator.diagnosis.first_fit import FirstFit
 from estimator.diagnosis.fit_journal import FITS, remembering
 from estimator.diagnosis.fit_place import FitSetting, fitting_by
-from estimator.diagnosis.hypotheses.record_mistakes import (
-    RecordMistake,
-)
 from estimator.diagnosis.limits import Limits
 from estimator.diagnosis.mixture.answer import Answer
 from estimator.diagnosis.mixture.naming import alternative_fits
@@ -256,7 +253,7 @@ def _judged(
 
 
 def _stand_ins(
-    rig: Rig, mistakes: Sequence[RecordMistake], named: Sequence[NamedCause], extended: Rig
+    rig: Rig, mistakes: Sequence[NamedCause], named: Sequence[NamedCause], extended: Rig
 ) -> list[Cause]:
     """Causes of the extended rig that are not sure enough to be stated."""
     known = {*(cause.cause for cause in named), *(mistake.cause for mistake in mistakes), *rig.effects}
@@ -267,7 +264,7 @@ def _next_measurements(answer: Answer, rig: Rig) -> list[Proposal]:
     """The best few proposals that would tell the possibilities of each stated set apart."""
     best: list[Proposal] = []
     for entry in answer.stated:
-        if sum(possibility.is_listed for possibility in entry.possibilities) < 2:
+        if len(entry.listed) < 2:
             continue
         fits = {label_of(cause, rig): fit for cause, fit in alternative_fits(answer, entry).items()}
         possible = actions(answer.plain.observations, rig)

@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
-
-import torch
 
 from estimator.diagnosis.budget import Budget
 from estimator.diagnosis.corrections.result import Correction
 from estimator.diagnosis.fitting import Fit
-from estimator.diagnosis.hypotheses.record_mistakes import RecordMistake
 from estimator.diagnosis.mixture.answer import Answer
 from estimator.diagnosis.next_readings.expected_evidence import Proposal
 from estimator.diagnosis.next_readings.resolution import Visible
@@ -20,7 +16,7 @@ from estimator.diagnosis.structure.pull import Pull
 from estimator.diagnosis.structure.scatter import Scatter
 from estimator.diagnosis.structure.symptoms import Symptoms
 from estimator.diagnosis.validation import Improvement
-from estimator.diagnosis.verdict import Alternative, NamedCause
+from estimator.diagnosis.verdict import NamedCause
 from estimator.diagnosis.widening import Widening
 from estimator.readings.flags import Flag
 from estimator.rig.rig import Cause, Rig
@@ -49,7 +45,7 @@ class Findings:
         answer: What the readings say of causes and of departures that no list holds.
         scatter: Whether they scatter otherwise than the leading causes say.
         pull: Whether the fit with these pulls a number of the rig far from its prior.
-        record_mistakes: Mistakes of the record, undone before.
+        record_mistakes: Mistakes of the record, undone before, with others that would explain the readings as well.
         causes: The named causes, surest first.
         stand_ins: Further causes of the extended rig, which are not sure enough to be stated.
         flags: Readings that cannot have been measured as they were recorded. What they hold was left out.
@@ -60,22 +56,12 @@ class Findings:
     answer: Answer
     scatter: Scatter
     pull: Pull
-    record_mistakes: tuple[RecordMistake, ...] = ()
+    record_mistakes: tuple[NamedCause, ...] = ()
     causes: tuple[NamedCause, ...] = ()
     stand_ins: tuple[Cause, ...] = ()
     flags: tuple[Flag, ...] = ()
     judging_flags: tuple[Flag, ...] = ()
     outliers: tuple[Outlier, ...] = ()
-
-    @property
-    def named_mistakes(self) -> Iterator[NamedCause]:
-        """Mistakes of the record with the others that they could be."""
-        for mistake in self.record_mistakes:
-            evidence = torch.tensor([0.0, *(value for _, value in mistake.twins)])
-            probability, *others = torch.softmax(evidence, 0).tolist()
-            twins = zip(mistake.twins, others, strict=True)
-            alternatives = tuple(Alternative(cause, share, None) for (cause, _), share in twins)
-            yield NamedCause(mistake.cause, probability, alternatives, mistake.log_bayes_factor)
 
     def doubts_to_json(self) -> dict[str, Any]:
         """What no list holds, what scatters, and what is pulled, in the form of `diagnosis.json`."""

@@ -10,7 +10,6 @@ from estimator.diagnosis.budget import Budget, budget
 from estimator.diagnosis.corrections.result import Correction
 from estimator.diagnosis.fitting import Fit, fit_rig
 from estimator.diagnosis.hypotheses.instants import on_known_sides
-from estimator.diagnosis.hypotheses.record_mistakes import RecordMistake
 from estimator.diagnosis.limits import Limits
 from estimator.diagnosis.mixture.answer import Answer
 from estimator.diagnosis.mixture.correcting import corrected
@@ -69,7 +68,7 @@ class Outcome:
 
     @classmethod
     def of(
-        cls, plain: Fit, said: BesideScatter, mistakes: Sequence[RecordMistake], is_record_wrong: bool
+        cls, plain: Fit, said: BesideScatter, mistakes: Sequence[NamedCause], is_record_wrong: bool
     ) -> Outcome:
         """What the readings say by themselves.
 
@@ -87,8 +86,7 @@ class Outcome:
         if leaves:
             verdict = _leaving_something(named)
         elif named or is_record_wrong:
-            has_twins = any(mistake.twins for mistake in mistakes)
-            is_clear = all(cause.is_alone for cause in named) and (bool(named) or not has_twins)
+            is_clear = all(cause.is_alone for cause in (named or mistakes))
             verdict = Verdict.NAMED if is_clear else Verdict.INDISTINGUISHABLE
         else:
             verdict = Verdict.NOTHING_FOUND
@@ -154,7 +152,7 @@ class Outcome:
         """
         asked_alone = {candidate.cause for candidate in self.answer.first.pool}
         names = [
-            (i, named.as_if(other.cause))
+            (i, replace(named, cause=other.cause))
             for i, named in enumerate(self.named)
             for other in named.alternatives
             if other.cause in asked_alone  # a second piece of iron is none without a first

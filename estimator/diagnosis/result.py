@@ -12,7 +12,6 @@ from estimator.calibration.result import Calibration
 from estimator.diagnosis.extension import NOTE
 from estimator.diagnosis.findings import Findings, Fits, LeftOpen, Question
 from estimator.diagnosis.fit_journal import FITS
-from estimator.diagnosis.hypotheses.record_mistakes import RecordMistake
 from estimator.diagnosis.intervals import CLEARLY_LARGER, Intervals
 from estimator.diagnosis.mixture.comparison import Comparison, Hypothesis
 from estimator.diagnosis.sizes import Interval, SizedCause, intervals_to_json
@@ -87,7 +86,7 @@ class Diagnosis(Shown):
         return self.findings.causes
 
     @property
-    def record_mistakes(self) -> tuple[RecordMistake, ...]:
+    def record_mistakes(self) -> tuple[NamedCause, ...]:
         """Mistakes of the record, undone before the search."""
         return self.findings.record_mistakes
 
@@ -144,7 +143,7 @@ class Diagnosis(Shown):
     @cached_property
     def sized_causes(self) -> tuple[SizedCause, ...]:
         """Mistakes of the record, then the named causes, with their sizes."""
-        mistakes = (self._sized(named, True) for named in self.findings.named_mistakes)
+        mistakes = (self._sized(named, True) for named in self.record_mistakes)
         return (*mistakes, *map(self._sized, self.causes))
 
     def quantities(self, cause: Cause) -> dict[str, Interval]:

@@ -76,25 +76,41 @@ class NamedCause:
     p_not_in_library: float = 0.0
     family: Family | None = None
 
-    def as_if(self, cause: Cause) -> NamedCause:
-        """This with one of its alternatives in its place."""
-        return replace(self, cause=cause)
+    @classmethod
+    def among(
+        cls, evidence: Mapping[Cause, float], log_bayes_factor: float, p_any: float = 1.0
+    ) -> NamedCause:
+        """The first of some causes, with those that explain the readings nearly as well.
+
+        Args:
+            evidence: Log evidence of each cause, up to a constant.
+            log_bayes_factor: Of the first.
+            p_any: Probability that one of them is there.
+        Examples:
+            >>> named = NamedCause.among({Cause("gain", "a"): 0.0, Cause("gain", "b"): -0.5}, 20.0)
+            >>> round(named.probability, 2), round(named.alternatives[0].probability, 2)
+            (0.62, 0.38)
+        """
+        highest = max(evidence.values())
+        weights = {cause: math.exp(value - highest) for cause, value in evidence.items()}
+        scale = p_any / sum(weights.values())
+        first, *others = weights
+        alternatives = tuple(
+            Alternative(cause, scale * weights[cause], None)
+            for cause in others
+            if scale * weights[cause] > policy.ALTERNATIVE
+        )
+        return cls(first, scale * weights[first], alternatives, log_bayes_factor, 1.0 - p_any)
 
     def weighed_by(self, log_density: Mapping[Cause, float]) -> NamedCause:
         """This set with the probabilities of its causes weighed by log densities of more readings, the most probable one first."""
         known = {self.cause: self.probability} | {
             other.cause: other.probability for other in self.alternatives
         }
-        highest = max(log_density.values())
-        weighed = {cause: p * math.exp(log_density[cause] - highest) for cause, p in known.items()}
-        scale = sum(known.values()) / sum(weighed.values())
-        first, *others = sorted(weighed, key=lambda cause: -weighed[cause])
-        alternatives = tuple(
-            Alternative(cause, scale * weighed[cause], None)
-            for cause in others
-            if scale * weighed[cause] > policy.ALTERNATIVE
-        )
-        return replace(self, cause=first, probability=scale * weighed[first], alternatives=alternatives)
+        evidence = {cause: math.log(p) + log_density[cause] for cause, p in known.items()}
+        ranked = dict(sorted(evidence.items(), key=lambda each: -each[1]))
+        best = NamedCause.among(ranked, self.log_bayes_factor, sum(known.values()))
+        return replace(self, cause=best.cause, probability=best.probability, alternatives=best.alternatives)
 
     @property
     def may_be_unknown(self) -> bool:

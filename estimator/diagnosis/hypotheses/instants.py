@@ -50,11 +50,6 @@ def starts_between(
     return [{**start, key: instant_h} for instant_h in between_h[rows].tolist()]
 
 
-def has_instant(starts: Sequence[Mapping[str, float]]) -> bool:
-    """Whether starts have an instant from which on something is otherwise."""
-    return any(SINCE in start for start in starts)
-
-
 def best_instants(
     values: Sequence[float], starts: Sequence[Mapping[str, float]]
 ) -> list[tuple[float, Mapping[str, float]]]:

@@ -8,7 +8,6 @@ is looked for.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 
 import torch
 from jaxtyping import Float
@@ -21,10 +20,10 @@ from estimator.diagnosis.hypotheses.instants import (
     MOST_INSTANTS,
     best_instants,
     changes_at_its_instant,
-    has_instant,
     instants_in,
     starts_between,
 )
+from estimator.diagnosis.verdict import NamedCause
 from estimator.effects import EFFECTS
 from estimator.effects.attach import with_effect
 from estimator.effects.circumstances import SINCE, UNTIL
@@ -44,27 +43,12 @@ MOST_STARTS_OF_FAINT = 2
 MOST_TOGETHER = 16  # starts in one batch; more would not fit the processor's cache
 
 
-@dataclass(frozen=True)
-class RecordMistake:
-    """A mistake of the record.
-
-    Attributes:
-        cause: The mistake that was undone.
-        log_bayes_factor: Against no mistake.
-        twins: Other mistakes that would explain the readings as well, with their log evidence relative to this one.
-    """
-
-    cause: Cause
-    log_bayes_factor: float
-    twins: tuple[tuple[Cause, float], ...]
-
-
-def without_record_mistakes(base: Fit) -> tuple[Fit, list[RecordMistake]]:
+def without_record_mistakes(base: Fit) -> tuple[Fit, list[NamedCause]]:
     """Undo mistakes of the record one after another while the evidence suffices.
 
-    Returns: The fit with the mistakes as effects of its rig, and the mistakes.
+    Returns: The fit with the mistakes as effects of its rig, and the mistakes with others that would explain the readings as well.
     """
-    mistakes: list[RecordMistake] = []
+    mistakes: list[NamedCause] = []
     while len(mistakes) < MOST_MISTAKES:
         is_faint = _is_as_expected(base) and not _is_noisy(base)
         most_starts = MOST_STARTS_OF_FAINT if is_faint else None
@@ -78,8 +62,8 @@ def without_record_mistakes(base: Fit) -> tuple[Fit, list[RecordMistake]]:
             for cause, value in reversed(others)
             if value > -policy.CLEAR_LOG_EVIDENCE and cause != best.rig.effects[-1]
         }
-        log_bayes_factor = best.log_evidence - base.log_evidence
-        mistakes.append(RecordMistake(best.rig.effects[-1], log_bayes_factor, tuple(twins.items())))
+        evidence = {best.rig.effects[-1]: 0.0, **twins}
+        mistakes.append(NamedCause.among(evidence, best.log_evidence - base.log_evidence))
         base = best
     return base, mistakes
 
@@ -142,7 +126,7 @@ def _fits_with_mistake(base: Fit, most_starts: int | None) -> list[Fit]:
             if not effect.concerns(circumstances, place):
                 continue
             cause, starts = Cause(name, place), effect.starts(circumstances, place)
-            if has_instant(starts) and not is_absurd:
+            if not is_absurd and any(SINCE in start for start in starts):
                 continue
             if most_starts is not None and len(starts) > most_starts:
                 continue

@@ -19,7 +19,7 @@ from estimator.diagnosis.mixture.confirmed import confirmed
 from estimator.diagnosis.mixture.full_fits import fit_with, leading_fit
 from estimator.diagnosis.mixture.imitation import Standing
 from estimator.diagnosis.progress import OnProgress, unwatched
-from estimator.diagnosis.verdict import Alternative, NamedCause
+from estimator.diagnosis.verdict import NamedCause
 from estimator.effects import EFFECTS
 from estimator.effects.attach import with_effect
 from estimator.rig.rig import Cause
@@ -81,7 +81,7 @@ def answer_beside_scatter(
     first, asked = climbed(plain, limits, seed, on_progress)
     scattering = list[NamedCause]()
     while len(scattering) < MOST_SCATTERING and not limits.is_over:
-        if not (clear := _clear(Answer(first, asked, (), {}))):
+        if not (clear := _clear(Answer(first, asked))):
             break
         named, fitted = clear
         scattering.append(named)
@@ -90,7 +90,7 @@ def answer_beside_scatter(
         first, asked = climbed(plain, limits, seed, on_progress, asked)
     if scattering and not limits.is_over:  # what was found beside it may be what looked like it
         alone = climbed(described, limits, seed, on_progress, asked)
-        if not _clear(Answer(*alone, (), {})):
+        if not _clear(Answer(*alone)):
             (first, asked), scattering = alone, []
     return BesideScatter(confirmed(first, asked, limits, seed, on_progress=on_progress), tuple(scattering))
 
@@ -131,23 +131,18 @@ def _scattering(answer: Answer) -> list[tuple[Cause, float, Fit]]:
     return list(best.values())
 
 
-def _log_prior_odds(asked: Asked, n_more: int = 0) -> float:
-    """Log prior odds of a listed cause of a dictionary, or of more names, against nothing."""
+def _log_prior_odds(asked: Asked, n_more: int) -> float:
+    """Log prior odds of a listed cause of a dictionary, or of one of some more, against nothing."""
     names = {item.cause.name for item in asked.dictionary.items if item.is_listed}
     return math.log(policy.LISTED / policy.p_empty()) - math.log(len(names) + n_more)
 
 
 def _named(rows: list[tuple[Cause, float, Fit]], log_prior_odds: float) -> NamedCause:
     """The best cause of scatter, with those that explain it nearly as well."""
-    values = torch.tensor([value for _, value, _ in rows], dtype=torch.float64)
-    some = 1.0 / (1.0 + math.exp(-float(torch.logsumexp(values, 0)) - log_prior_odds))
-    shares = (some * torch.softmax(values, 0)).tolist()
-    others = tuple(
-        Alternative(cause, share, None)
-        for (cause, _, _), share in zip(rows[1:], shares[1:], strict=True)
-        if share > policy.ALTERNATIVE
-    )
-    return NamedCause(rows[0][0], shares[0], others, rows[0][1], 1.0 - some)
+    evidence = {cause: value for cause, value, _ in rows}
+    values = torch.tensor(list(evidence.values()), dtype=torch.float64)
+    p_any = 1.0 / (1.0 + math.exp(-float(torch.logsumexp(values, 0)) - log_prior_odds))
+    return NamedCause.among(evidence, rows[0][1], p_any)
 
 
 def _with(plain: Fit, cause: Cause, fitted: Fit) -> Fit:

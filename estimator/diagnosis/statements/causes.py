@@ -35,7 +35,7 @@ def what(diagnosis: Diagnosis) -> Iterator[str]:
         how_sure = probability(p_nothing(diagnosis))
         yield doubts(diagnosis) or f"{words} ({how_sure}){would_have_shown(diagnosis, readings)}."
     else:
-        mistakes = [_mistake(diagnosis, named) for named in diagnosis.findings.named_mistakes]
+        mistakes = [_mistake(diagnosis, named) for named in diagnosis.record_mistakes]
         is_unexplained = diagnosis.verdict is Verdict.UNEXPLAINED
         yield from [unexplained(diagnosis), *mistakes] if is_unexplained else [*mistakes, *_stated(diagnosis)]
 

@@ -17,7 +17,6 @@ from estimator.diagnosis.diagnose import diagnose
 from estimator.diagnosis.figures import pictures
 from estimator.diagnosis.fitting import Fit, fit_rig
 from estimator.diagnosis.headline import headline, warnings_of
-from estimator.diagnosis.hypotheses.record_mistakes import RecordMistake
 from estimator.diagnosis.limits import Limits
 from estimator.diagnosis.mixture.comparison import Comparison
 from estimator.diagnosis.mixture.links import Link
@@ -30,7 +29,7 @@ from estimator.diagnosis.statements.gain import unseen_line
 from estimator.diagnosis.statements.left import unexplained
 from estimator.diagnosis.statements.priors import held_back
 from estimator.diagnosis.validation import Improvement, improvement_of
-from estimator.diagnosis.verdict import Family, Verdict
+from estimator.diagnosis.verdict import Family, NamedCause, Verdict
 from estimator.effects import EFFECTS
 from estimator.effects.attach import with_effect
 from estimator.readings.observations import Observations
@@ -218,7 +217,7 @@ def test_a_mistake_of_the_record_is_told_with_what_else_it_may_be(diagnosis):
     swapped, mirrored = Cause("axes_swapped", "hall"), Cause("left_handed", "arm1")
 
     def told(*twins: tuple[Cause, float]) -> str:
-        mistake = RecordMistake(swapped, 900.0, twins)
+        mistake = NamedCause.among({swapped: 0.0, **dict(twins)}, 900.0)
         return headline(
             replace(diagnosis, findings=replace(diagnosis.findings, record_mistakes=(mistake,), causes=()))
         )[0]
@@ -234,7 +233,7 @@ def test_what_a_mistake_of_the_record_makes_of_columns_is_told(diagnosis, monkey
     reads = {"x_reads": 3.0, "y_reads": -2.0, "z_reads": 1.0}
     sizes = {key: Interval(value, 0.0, (value, value), "1") for key, value in reads.items()}
     monkeypatch.setattr(Diagnosis, "quantities", lambda self, cause: sizes)
-    mistakes = (RecordMistake(Cause("positions_swapped", "arm1"), 900.0, ()),)
+    mistakes = (NamedCause(Cause("positions_swapped", "arm1"), 1.0, (), 900.0),)
     swapped = replace(diagnosis, findings=replace(diagnosis.findings, record_mistakes=mistakes, causes=()))
     assert headline(swapped)[0] == (
         "The mover's columns x, y and z are in another order or direction (positions_swapped): x, y and z hold z, −y and x."
@@ -324,7 +323,7 @@ def test_a_cause_that_is_probable_and_not_stated_is_told_with_its_probability(di
     )
     unknown = said_instead(diagnosis, {(STEPS,): 100})
     assert headline(unknown)[0].startswith("Something is wrong, and no known cause is probable: ")
-    mistake = RecordMistake(Cause("current_sign", "coil1"), 100.0, ())
+    mistake = NamedCause(Cause("current_sign", "coil1"), 1.0, (), 100.0)
     beside_it = replace(unknown, findings=replace(unknown.findings, record_mistakes=(mistake,)))
     assert unexplained(beside_it).startswith(
         "Something else is wrong, and no other known cause is probable: "

@@ -7,7 +7,6 @@ from dataclasses import replace
 
 import pytest
 
-from estimator.diagnosis.hypotheses.record_mistakes import RecordMistake
 from estimator.diagnosis.limits import Limits
 from estimator.diagnosis.mixture.answer import Answer
 from estimator.diagnosis.mixture.asked import Asked
@@ -33,7 +32,7 @@ def asked(of_nothing: Answer) -> Asked:
     return of_nothing.first
 
 
-def outcome_of(answer: Answer, *mistakes: RecordMistake, scattering: tuple[NamedCause, ...] = ()) -> Outcome:
+def outcome_of(answer: Answer, *mistakes: NamedCause, scattering: tuple[NamedCause, ...] = ()) -> Outcome:
     return Outcome.of(
         answer.plain, BesideScatter(answer, scattering), mistakes, is_record_wrong=bool(mistakes)
     )
@@ -125,8 +124,9 @@ def test_all_that_was_asked_for_has_names_where_no_more_would_be_there(asked):
 
 def test_mistakes_of_the_record_alone_are_named_unless_others_do_as_well(asked):
     nothing = said(asked, {(): 100})
-    mistake = RecordMistake(Cause("axes_swapped", "hall"), 300.0, ())
-    twin = replace(mistake, twins=((Cause("left_handed", "record"), -0.5),))
+    swapped = Cause("axes_swapped", "hall")
+    mistake = NamedCause.among({swapped: 0.0}, 300.0)
+    twin = NamedCause.among({swapped: 0.0, Cause("left_handed", "record"): -0.5}, 300.0)
     assert outcome_of(nothing, mistake).verdict is Verdict.NAMED
     assert outcome_of(nothing, twin).verdict is Verdict.INDISTINGUISHABLE
     assert outcome_of(said(asked, {(WANDERS,): 100}), mistake).verdict is Verdict.UNEXPLAINED

@@ -91,7 +91,7 @@ def test_a_reversed_coil_that_was_first_read_without_current_is_reversed_from_th
     _, mistakes = without_record_mistakes(fit_of(small_rig, first_without))
     (mistake,) = mistakes
     assert mistake.cause == Cause("current_sign", "coil1")
-    assert mistake.twins == ()
+    assert mistake.alternatives == ()
 
 
 @pytest.mark.parametrize("taken", ["rows_shifted", "rows_shifted_since"])

@@ -8,11 +8,10 @@ import pytest
 import torch
 from torch import Tensor
 
-from estimator.diagnosis.hypotheses.record_mistakes import RecordMistake
 from estimator.diagnosis.limits import Limits
 from estimator.diagnosis.mixture.scatter import BesideScatter, _named, answer_beside_scatter
 from estimator.diagnosis.outcome import Outcome
-from estimator.diagnosis.verdict import Verdict
+from estimator.diagnosis.verdict import NamedCause, Verdict
 from estimator.model.simulate import simulate
 from estimator.readings.observations import Observations
 from estimator.readings.plan import Plan
@@ -29,7 +28,7 @@ OUTLIERS, JITTER, OFFSET = (
     Cause("sensor_offset", "hall"),
 )
 NOISE_T = 5e-6
-NO_MISTAKES: tuple[RecordMistake, ...] = ()
+NO_MISTAKES: tuple[NamedCause, ...] = ()
 
 
 @pytest.fixture(scope="module")
