@@ -166,10 +166,8 @@ def indistinguishable(fit: Fit, pool: Sequence[Candidate]) -> list[tuple[Cause, 
     Two causes belong together where each follows the columns of the other so closely that the expected log evidence between them is below
     log 20. Causes that the fit can follow wholly are left out, for the session cannot show them.
     """
-    columns = {cause: own for cause, own in _columns(fit, pool).items() if own.shape[1]}
-    directions = {cause: Directions.of(own) for cause, own in columns.items()}
-    causes = [cause for cause in columns if _may_have_a_twin(cause, directions)]
-    follows = _follows([directions[cause].basis() for cause in causes])
+    bases = {cause: _basis(own) for cause, own in _columns(fit, pool).items() if own.shape[1]}
+    causes, follows = list(bases), _follows(list(bases.values()))
     twins = {
         cause: [other for other, is_twin in zip(causes, row, strict=True) if is_twin]
         for cause, row in zip(causes, (follows & follows.T).tolist(), strict=True)
@@ -196,51 +194,12 @@ def _columns(fit: Fit, pool: Sequence[Candidate]) -> dict[Cause, Tensor]:
     return visible
 
 
-@dataclass(frozen=True)
-class Directions:
-    """The directions in which a cause can change the readings.
-
-    Attributes:
-        columns: Of length 1.
-        squares: Their inner products.
-    """
-
-    columns: Float[Tensor, "component column"]
-    squares: Float[Tensor, "column column"]
-
-    @classmethod
-    def of(cls, columns: Float[Tensor, "component column"]) -> Directions:
-        """Directions that the columns span."""
-        scaled = columns / columns.norm(dim=0).clamp(min=1e-300)
-        return cls(scaled, scaled.T @ scaled)
-
-    @property
-    def most(self) -> int:
-        """A number that the number of independent directions does not exceed."""
-        return self.columns.shape[1]
-
-    @property
-    def least(self) -> float:
-        """A number that the number of independent directions does not fall below, for a fraction of the time that counting them takes.
-
-        The eigenvalues of the inner products have the sum n and squares with the sum s. The k that are kept have at least n less what
-        is left out, by Cauchy and Schwarz at most sqrt(k s).
-        """
-        norm = float(self.squares.norm())
-        left_out = self.most * LEAST_DIRECTION**2 * norm
-        return float(max(self.most - left_out, 0.0) ** 2 / norm**2)
-
-    def basis(self) -> Float[Tensor, "component direction"]:
-        """The independent directions, orthonormal: by eigenvalues, far faster than the singular values of so tall a matrix."""
-        squares, turn = torch.linalg.eigh(self.squares)
-        is_kept = squares > LEAST_DIRECTION**2 * squares[-1]
-        return self.columns @ turn[:, is_kept] / squares[is_kept].sqrt()
-
-
-def _may_have_a_twin(cause: Cause, directions: Mapping[Cause, Directions]) -> bool:
-    """Whether another cause may have nearly as many independent directions, as a twin must, for each follows the other."""
-    fewest = _least_followed() * directions[cause].least
-    return any(other.most > fewest for name, other in directions.items() if name != cause)
+def _basis(columns: Float[Tensor, "component column"]) -> Float[Tensor, "component direction"]:
+    """Independent directions that columns span, orthonormal: by eigenvalues, far faster than the singular values of so tall a matrix."""
+    scaled = columns / columns.norm(dim=0).clamp(min=1e-300)
+    squares, turn = torch.linalg.eigh(scaled.T @ scaled)
+    is_kept = squares > LEAST_DIRECTION**2 * squares[-1]
+    return scaled @ turn[:, is_kept] / squares[is_kept].sqrt()
 
 
 def _follows(bases: Sequence[Tensor]) -> Bool[Tensor, "basis followed"]:
@@ -252,9 +211,4 @@ def _follows(bases: Sequence[Tensor]) -> Bool[Tensor, "basis followed"]:
     squares = (every.T @ every).square()
     rows = squares.new_zeros(len(width), len(number)).index_add(0, number, squares)
     share = squares.new_zeros(len(width), len(width)).index_add(1, number, rows) / width
-    return share > _least_followed()
-
-
-def _least_followed() -> float:
-    """Share of a typical direction that must be followed for the expected log evidence to be too small."""
-    return 1.0 - policy.CLEAR_LOG_EVIDENCE / (0.5 * TYPICAL_SIGMA**2)
+    return share > 1.0 - policy.CLEAR_LOG_EVIDENCE / (0.5 * TYPICAL_SIGMA**2)
