@@ -17,6 +17,9 @@ ICE_POINT_K = 273.15
 _SCPI_NO_NUMBER = 9e37
 """SCPI-99 section 7.2.1.5 writes infinity as 9.9e37 and not-a-number as 9.91e37."""
 
+_LONGEST_QUOTE = 80
+"""Bytes of an answer that a message shows; the buffer of a Hall sensor may fill many screens."""
+
 
 class ReadingCounter:
     """Counts readings for `Reading.sequence`, and marks the first one after a loss.
@@ -67,8 +70,20 @@ def number(text: str, what: str) -> float:
     try:
         value = float(text)
     except ValueError as error:
-        raise DeviceFault(f"{what} must be a number; received {text!r}") from error
+        raise DeviceFault(f"{what} must be a number; received {quoted(text)}") from error
     return math.nan if abs(value) >= _SCPI_NO_NUMBER else value
+
+
+def quoted(answer: bytes | str) -> str:
+    """An answer as messages show it: its beginning, and how long it is if that is not all.
+
+    Examples:
+        >>> quoted(b"1.5 A"), quoted("0.125," * 5000)
+        ("b'1.5 A'", "'0.125,0.125,0.125,0.125,0.125,0.125,0.125,0.125,0.125,0.125,0.125,0.125,0.125,0.' (the first 80 of 30000 bytes)")
+    """
+    if len(answer) <= _LONGEST_QUOTE:
+        return repr(answer)
+    return f"{answer[:_LONGEST_QUOTE]!r} (the first {_LONGEST_QUOTE} of {len(answer)} bytes)"
 
 
 def ascii_text(data: bytes) -> str:
@@ -80,7 +95,7 @@ def ascii_text(data: bytes) -> str:
     try:
         return data.decode("ascii")
     except UnicodeDecodeError as error:
-        raise DeviceFault(f"an answer must be ASCII; received {data[:80]!r}") from error
+        raise DeviceFault(f"an answer must be ASCII; received {quoted(data)}") from error
 
 
 def over_range(field_T: Vector) -> ReadingFlag:

@@ -16,7 +16,7 @@ from drivers.hall.sensor import HallSensor
 from drivers.on_channel import identity_landmark
 from drivers.port_settings import port_of
 from drivers.protocols import Reading, Vector
-from drivers.readings import ascii_text, number, over_range
+from drivers.readings import ascii_text, number, over_range, quoted
 from drivers.settings import Settings
 from drivers.transport.port import Port
 from drivers.transport.serial_port import SerialSettings
@@ -60,7 +60,7 @@ def decode_prefix(text: str) -> float:
     try:
         return _PREFIXES[text.strip()]
     except KeyError as error:
-        raise DeviceFault(f"460 must send a prefix u, m, k or none; received {text!r}") from error
+        raise DeviceFault(f"460 must send a prefix u, m, k or none; received {quoted(text)}") from error
 
 
 def decode_fields(text: str, tesla_per_unit: Vector) -> Vector:
@@ -76,7 +76,7 @@ def decode_fields(text: str, tesla_per_unit: Vector) -> Vector:
     """
     parts = [part.strip() for part in text.split(",")]
     if len(parts) != 4:
-        raise DeviceFault(f"460 must send four fields; received {text!r}")
+        raise DeviceFault(f"460 must send four fields; received {quoted(text)}")
     x_T, y_T, z_T = (
         math.nan if part == "OL" else number(part, "a field of the 460") * scale
         for part, scale in zip(parts, tesla_per_unit, strict=False)
@@ -121,7 +121,9 @@ class LakeShore460(HallSensor):
             self._tell(command, deadline)
         chosen = self._ask("RANGE?", deadline)
         if chosen.strip() != str(self._range):
-            raise DeviceFault(f"460 must be in range {self._range} on channel {name}; it says {chosen!r}")
+            raise DeviceFault(
+                f"460 must be in range {self._range} on channel {name}; it says {quoted(chosen)}"
+            )
         return decode_prefix(self._ask("FIELDM?", deadline))
 
     def _tell(self, command: str, deadline: Deadline) -> None:

@@ -17,7 +17,7 @@ from drivers.hall.sensor import HallSensor
 from drivers.on_channel import identity_landmark
 from drivers.port_settings import port_of
 from drivers.protocols import Reading, ReadingFlag, Vector
-from drivers.readings import ICE_POINT_K, ReadingCounter, ascii_text, number, over_range
+from drivers.readings import ICE_POINT_K, ReadingCounter, ascii_text, number, over_range, quoted
 from drivers.settings import Settings
 from drivers.transport.port import Port
 from drivers.transport.serial_port import SerialSettings
@@ -108,7 +108,7 @@ def decode_buffer(text: str) -> list[BufferPoint]:
         except ValueError:
             moment = None
         if moment is None or len(parts) not in {6, 7}:
-            raise DeviceFault(f"F71 must send time,magnitude,x,y,z,state; received {entry!r}")
+            raise DeviceFault(f"F71 must send time,magnitude,x,y,z,state; received {quoted(entry)}")
         x_T, y_T, z_T = (number(part, "a field of the F71") for part in parts[2:5])
         moment = moment if moment.tzinfo else moment.replace(tzinfo=UTC)
         points.append(BufferPoint(moment.timestamp(), (x_T, y_T, z_T)))
@@ -158,7 +158,7 @@ class LakeShoreF71(HallSensor):
         buffer, condition = self._ask(READ_BUFFER, 2, deadline)
         status = number(condition, "F71 status")
         if not status.is_integer():
-            raise DeviceFault(f"F71 must send its status as a whole number; received {condition!r}")
+            raise DeviceFault(f"F71 must send its status as a whole number; received {quoted(condition)}")
         is_overload = int(status) & _OVERLOAD_BIT
         return decode_buffer(buffer), ReadingFlag.OVER_RANGE if is_overload else ReadingFlag.NONE
 
@@ -179,7 +179,7 @@ class LakeShoreF71(HallSensor):
         line = self._channel.query(f"{commands}{_ERRORS}\n".encode("ascii"), b"\r\n", deadline)
         *answers, errors = split_answers(ascii_text(line))
         if len(answers) != n_answers:
-            raise DeviceFault(f"F71 must give {n_answers} answers to {commands}; received {line!r}")
+            raise DeviceFault(f"F71 must give {n_answers} answers to {commands}; received {quoted(line)}")
         if not errors.startswith("0,"):
             raise DeviceFault(f"F71 must accept {commands}; it says {errors}")
         return answers

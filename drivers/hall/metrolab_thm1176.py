@@ -16,7 +16,7 @@ from drivers.hall.sensor import HallSensor
 from drivers.on_channel import identity_landmark
 from drivers.port_settings import SCPI_SERIAL, port_of
 from drivers.protocols import Reading, ReadingFlag, Vector
-from drivers.readings import ascii_text, number
+from drivers.readings import ascii_text, number, quoted
 from drivers.settings import Settings
 from drivers.transport.port import Port
 
@@ -85,12 +85,14 @@ def decode_acquisition(line: str) -> Acquisition:
     """
     parts = line.split(";")
     if len(parts) != 5 or not all(part.strip().endswith(" T") for part in parts[:3]):
-        raise DeviceFault(f"THM1176 must send x T;y T;z T;time;status; received {line!r}")
+        raise DeviceFault(f"THM1176 must send x T;y T;z T;time;status; received {quoted(line)}")
     x_T, y_T, z_T = (number(part.strip().removesuffix(" T"), "a field of the THM1176") for part in parts[:3])
     try:
         nanoseconds = int(parts[3], 16)
     except ValueError as error:
-        raise DeviceFault(f"THM1176 must send its time in hexadecimal; received {parts[3]!r}") from error
+        raise DeviceFault(
+            f"THM1176 must send its time in hexadecimal; received {quoted(parts[3])}"
+        ) from error
     return Acquisition((x_T, y_T, z_T), nanoseconds * 1e-9, number(parts[4], "status of the THM1176") != 0)
 
 

@@ -16,7 +16,7 @@ from drivers.errors import DeviceFault, Refused
 from drivers.hall.sensor import HallSensor
 from drivers.port_settings import port_of
 from drivers.protocols import Reading, ReadingFlag, Vector
-from drivers.readings import ICE_POINT_K, ReadingCounter, over_range
+from drivers.readings import ICE_POINT_K, ReadingCounter, over_range, quoted
 from drivers.settings import Settings
 from drivers.transport.port import Port
 from drivers.transport.pumped import PumpedPort
@@ -91,7 +91,7 @@ def decode_rate_answer(answer: bytes, code: int) -> None:
         >>> decode_rate_answer(bytes([0x4B, 0x82]), 0x82)
     """
     if bytes([0x4B, code]) not in answer:
-        raise DeviceFault(f"3MH6 must confirm rate code {code:02X}; received {answer!r}")
+        raise DeviceFault(f"3MH6 must confirm rate code {code:02X}; received {quoted(answer)}")
 
 
 def check_stream(rate_Hz: int, range_number: int) -> None:

@@ -15,7 +15,7 @@ from drivers.deadline import Deadline
 from drivers.device import ClosesItself
 from drivers.errors import DeadlineExceeded, DeviceFault, DriverError, Refused
 from drivers.protocols import FlangePose, Reading, ReadingFlag, RobotArm
-from drivers.readings import ReadingCounter
+from drivers.readings import ReadingCounter, quoted
 from drivers.robots.ur_motion import numbers_of
 from drivers.transport.channel import Channel
 from drivers.transport.transcript import Chunk, ReplayedPort, TranscriptFile
@@ -183,7 +183,7 @@ class ReplayedArm(ClosesItself):
             try:
                 answer = json.loads(line)
             except ValueError as error:
-                raise DeviceFault(f"a recorded arm must answer in JSON; received {line[:80]!r}") from error
+                raise DeviceFault(f"a recorded arm must answer in JSON; received {quoted(line)}") from error
             if not isinstance(answer, dict) or "error" not in answer:
                 return decode(answer)
         kind = _ERRORS.get(answer["error"], DeviceFault)

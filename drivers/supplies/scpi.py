@@ -14,7 +14,7 @@ from functools import partial
 from drivers.deadline import Deadline
 from drivers.errors import DeviceFault, Refused
 from drivers.port_settings import SCPI_SERIAL, port_of
-from drivers.readings import ascii_text, number
+from drivers.readings import ascii_text, number, quoted
 from drivers.settings import Settings
 from drivers.supplies.commands import Measured
 from drivers.supplies.opener import Rating, SupplyOpener
@@ -101,7 +101,7 @@ def decode_line(line: bytes, n_answers: int, command: str) -> list[str]:
     *answers, error = text.split(";", n_answers)
     if len(answers) != n_answers or "," not in error:
         raise DeviceFault(
-            f"supply must give {n_answers} answers and its error state to {command}; received {line!r}"
+            f"supply must give {n_answers} answers and its error state to {command}; received {quoted(line)}"
         )
     if number(error.split(",")[0], "an error of the supply") != 0:
         raise DeviceFault(f"supply must accept {command}; it says {error}")
@@ -161,7 +161,9 @@ class ScpiSupply:
         """See `SupplyCommands.is_output_on`."""
         answer = self._ask("OUTP?", 1, deadline)[0]
         if answer.upper() not in {"0", "1", "ON", "OFF"}:
-            raise DeviceFault(f"supply must say whether its output is on; received {answer!r} ({self.name})")
+            raise DeviceFault(
+                f"supply must say whether its output is on; received {quoted(answer)} ({self.name})"
+            )
         return answer.upper() in {"1", "ON"}
 
     def send_set_point(self, current_A: float, deadline: Deadline) -> None:

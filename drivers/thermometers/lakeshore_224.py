@@ -15,7 +15,7 @@ from drivers.deadline import Deadline
 from drivers.errors import DeviceFault, Refused
 from drivers.on_channel import OnChannel, identity_landmark
 from drivers.protocols import Reading
-from drivers.readings import ReadingCounter, ascii_text, number
+from drivers.readings import ReadingCounter, ascii_text, number, quoted
 from drivers.transport.port import Port
 from drivers.transport.serial_port import SerialSettings
 
@@ -49,7 +49,7 @@ def decode_kelvin(line: str) -> float:
     """
     temperature, _, status = line.partition(";")
     if not status.strip().isdigit():
-        raise DeviceFault(f"224 must send kelvin;status; received {line!r}")
+        raise DeviceFault(f"224 must send kelvin;status; received {quoted(line)}")
     kelvin = number(temperature, "a temperature of the 224")
     return math.nan if int(status) & _NO_NUMBER_BITS else kelvin
 

@@ -85,6 +85,7 @@ def test_its_probe_is_a_thermometer():
     [
         (b'"";0;-113,"Undefined header"\r\n', "must accept .* it says -113"),
         (b'0,"No error"\r\n', "must give 2 answers"),
+        (b"1" * 30_000 + b"\r\n", r"received b'1{80}' \(the first 80 of 30000 bytes\)"),
         (b'"2026-11-21T08:00:00,1,2,3;";0;0,"No error"\r\n', "must send time,magnitude,x,y,z,state"),
         (b'"yesterday,1,2,3,4,0;";0;0,"No error"\r\n', "must send time,magnitude,x,y,z,state"),
         (b'"2026-11-21T08:00:00,1,2,3,?,0;";0;0,"No error"\r\n', "must be a number"),
