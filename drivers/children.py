@@ -12,8 +12,12 @@ from __future__ import annotations
 import logging
 import multiprocessing
 import os
+import signal
 import sys
 import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from multiprocessing import resource_tracker
 from multiprocessing.context import SpawnContext, SpawnProcess
 from types import ModuleType
 
@@ -37,6 +41,21 @@ def start_without_main(process: SpawnProcess) -> None:
             process.start()
         finally:
             sys.modules["__main__"] = program
+
+
+@contextmanager
+def deaf_to_the_terminal() -> Iterator[None]:
+    """Let processes that are started in the block get neither Ctrl-C nor the end of their terminal (SIGHUP), from their first instant on.
+
+    Signals that a thread holds back are held back for ever in the processes that it starts. A child that only asks for this once it runs
+    would be killed by a second Ctrl-C while it starts to switch a supply off.
+    """
+    resource_tracker.ensure_running()  # which, where it starts its own process, lets signals through
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGHUP})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 _LOG = logging.getLogger(__name__)

@@ -96,8 +96,11 @@ class Interlock:
             yield
         except Refused:
             raise
-        except BaseException as error:
+        except Exception as error:
             self.trip(f"{what} failed: {str(error) or type(error).__name__}")
+            raise
+        except BaseException:  # Ctrl-C, SIGTERM: no fault of the device that was busy
+            self.trip("the program was interrupted")
             raise
 
     def _bring_to_rest(self, name: str, action: Callable[[], None]) -> None:

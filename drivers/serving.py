@@ -128,7 +128,7 @@ class _Orders:
 
 def serve(make: Callable[[threading.Event], Any], connection: Connection, pulse: Pulse) -> None:
     """Main function of the child."""
-    os.setsid()  # Ctrl-C and Ctrl-Z in the terminal go to the parent only; after Ctrl-C, it closes the device in order
+    os.setsid()  # Ctrl-Z in the terminal goes to the parent only
     orders = _Orders(connection)
     signal.signal(signal.SIGTERM, lambda *_: orders.end())
     _answer(connection, Answer(STARTED, None, None))

@@ -15,7 +15,7 @@ import threading
 from collections.abc import Callable
 from typing import Any
 
-from drivers.children import SPAWN, start_without_main
+from drivers.children import SPAWN, deaf_to_the_terminal, start_without_main
 from drivers.deadline import Deadline
 from drivers.errors import DeadlineExceeded, DeviceFault, DriverError
 from drivers.pulse import BEAT_S, SILENT_S, Heart, Pulse, beat_for
@@ -73,7 +73,8 @@ class Supervised:
         self._process = SPAWN.Process(
             target=serve, args=(make, child_connection, pulse), name=name, daemon=False
         )
-        start_without_main(self._process)
+        with deaf_to_the_terminal():
+            start_without_main(self._process)
         child_connection.close()
         beat_for(self._process, self._heart)
         self._lock, self._send_lock = threading.RLock(), threading.Lock()

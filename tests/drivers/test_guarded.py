@@ -313,6 +313,7 @@ def test_ctrl_c_brings_the_rig_to_rest():
     with pytest.raises(KeyboardInterrupt):
         rig.sensor.read_field_T(timeout_s=1.0)
     assert rig.is_at_rest
+    assert rig.interlock.reason == "the program was interrupted"
 
 
 def test_sigterm_unwinds_all_blocks():

@@ -10,6 +10,7 @@ from functools import partial
 
 import pytest
 
+from drivers.children import start_without_main
 from drivers.errors import DeadlineExceeded, DeviceFault
 from drivers.supervised import Supervised
 
@@ -73,6 +74,22 @@ def test_calls_return_raise_and_end_with_close(path):
     with pytest.raises(DeviceFault, match="ZeroDivisionError: of its own"):
         supervised.call("fail", timeout_s=1.0)
     supervised.close(timeout_s=2.0)
+    supervised.close(timeout_s=2.0)
+    assert path.read_text().split() == ["made", "work", "close"]
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGHUP])
+def test_what_ends_a_program_in_a_terminal_never_ends_a_child(path, monkeypatch, number):
+    """Not even one that only starts, to switch off what another has left on."""
+
+    def start(process):
+        start_without_main(process)
+        os.kill(process.pid, number)
+
+    monkeypatch.setattr("drivers.supervised.start_without_main", start)
+    supervised = supervise(Device, path)
+    os.kill(supervised.pid, number)
+    assert supervised.call("work", duration_s=0.01, timeout_s=1.0) == 0.01
     supervised.close(timeout_s=2.0)
     assert path.read_text().split() == ["made", "work", "close"]
 
