@@ -16,6 +16,8 @@ import pytest
 import torch
 from hypothesis import settings
 
+from tests.program import programs_end
+
 mpl.use("Agg")
 
 # Sessions are many small files, and each is waited for until it is on disk: in memory they take half the time. Programs are compiled and
@@ -119,6 +121,12 @@ def _signals_and_hooks_as_before():
     if threading.current_thread() is threading.main_thread():
         for number, handler in handlers.items():
             signal.signal(number, handler)
+
+
+@pytest.fixture(autouse=True)
+def _programs_end():
+    with programs_end():
+        yield
 
 
 @pytest.fixture(scope="session", autouse=True)

@@ -23,6 +23,7 @@ from drivers.simulated.process import Simulator
 from drivers.simulated.ur_server import serve_ur
 from drivers.simulated.world import CoilCircuit, World
 from tests.drivers.rig import free_host
+from tests.program import PYTHON, launched
 
 HOME = FlangePose((0.3, 0.0, 0.2), (0.0, 3.0, 0.0))
 NEAR = FlangePose((0.3, 0.02, 0.2), (0.0, 3.0, 0.0))
@@ -182,10 +183,8 @@ def test_an_arm_stops_when_the_host_program_is_killed(rig, world):
         print("ready", flush=True)
         arm.move_to(FlangePose((0.3, 0.2, 0.2), (0.0, 3.0, 0.0)), speed_m_per_s=0.02, timeout_s=20.0)
     """
-    client = subprocess.Popen(
-        [sys.executable, "-c", textwrap.dedent(program)], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL
-    )
-    while client.stdout.readline() != b"ready\n":  # ur_rtde prints as well
+    client = launched(PYTHON, "-c", textwrap.dedent(program), stderr=subprocess.DEVNULL)
+    while client.stdout.readline() != "ready\n":  # ur_rtde prints as well
         assert client.poll() is None
     time.sleep(0.5)
     assert world.is_moving(0)

@@ -24,6 +24,7 @@ from drivers.supplies.ramped import RampedSource
 from drivers.supplies.scpi import KEPCO_BOP, ScpiSupply
 from drivers.supplies.supervised import SupervisedSource
 from drivers.transport.serial_port import SerialPort, SerialSettings
+from tests.program import launched
 
 SLEW_A_PER_S = 5.0
 LONGER_THAN_ONE_ATTEMPT_S = 10.0
@@ -77,9 +78,7 @@ class Host:
         """
         command = [sys.executable, "-c", textwrap.dedent(program)]
         # A process group of its own, as a shell gives it to what Ctrl-Z will stop.
-        self.process = subprocess.Popen(
-            command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, process_group=0
-        )
+        self.process = launched(*command, stderr=subprocess.DEVNULL, process_group=0)
         self.child_pid = int(self.process.stdout.readline())
 
     def end(self):
@@ -156,14 +155,14 @@ def test_who_waits_for_the_end_of_a_program_does_not_wait_for_a_child_that_insis
             input()
     """
     command = [sys.executable, "-c", textwrap.dedent(program)]
-    host = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+    host = launched(*command, stdin=subprocess.PIPE)
     child_pid = int(host.stdout.readline())
     supply.faults.fault = Fault.MUTE
     begin_s = time.monotonic()
-    _, said = host.communicate(b"\n", timeout=60)
+    _, said = host.communicate("\n", timeout=60)
     assert time.monotonic() - begin_s < 25.0
     assert host.returncode == 1
-    assert b"an answer must end with" in said
+    assert "an answer must end with" in said
     assert not has_ended(child_pid)
     os.kill(child_pid, signal.SIGTERM)
     wait_until(lambda: has_ended(child_pid), 5.0)

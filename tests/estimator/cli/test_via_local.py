@@ -20,7 +20,7 @@ from estimator.cli.local_server import _bound
 from estimator.cli.local_socket import is_own, opened_folder
 from estimator.cli.main import main
 from estimator.errors import InvalidInput
-from tests.program import PROGRAM, ROOT
+from tests.program import PROGRAM, ROOT, launched
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="Linux only")
 LONGEST_S = 120.0
@@ -47,14 +47,14 @@ def until(is_so: Callable[[], object]) -> None:
         time.sleep(0.02)
 
 
-def serving(run: Path, root: Path = ROOT) -> subprocess.Popen[bytes]:
+def serving(run: Path, root: Path = ROOT) -> subprocess.Popen[str]:
     call = [*PROGRAM, "serve", "--commands", "alone"]
-    server = subprocess.Popen(call, env=environment(run, root), cwd=run, stderr=subprocess.PIPE)
+    server = launched(*call, env=environment(run, root), cwd=run)
     until(lambda: server.poll() is not None or len(list(run.glob("coilcal/*"))) == 4)
     return server
 
 
-def end(server: subprocess.Popen[bytes]) -> None:
+def end(server: subprocess.Popen[str]) -> None:
     server.terminate()
     server.communicate(timeout=LONGEST_S)
 
