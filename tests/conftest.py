@@ -106,6 +106,7 @@ WHOLE = {
             "inference/test_point_estimate",
             "model/test_one_model",
             "rig_files/test_write",
+            "store/importers/forms/test_forms",
             "system/test_superposition",
         )
     ),
