@@ -24,9 +24,15 @@ def _about_the_winding(circumstances: Circumstances, place: str) -> Starts:
     return (*({"x_m": 0.0, "y_m": 0.0, "z_m": -behind_m} for behind_m in BEHIND_M), *beside)
 
 
+def _is_carried(circumstances: Circumstances, place: str) -> bool:
+    """Whether the coil moves; beside one that stands still a magnet is a field of the room."""
+    return any(coil.name == place and coil.carried_by is not None for coil in circumstances.rig.coils)
+
+
 @SourceEffect.cause(
     quantities=(*triple(MOMENT, "_A_m2", "A m2", 0.3), *box("xyz", "_m", "m", FARTHEST_M)),
     starts=_about_the_winding,
+    concerns=_is_carried,
     is_permanent=True,
 )
 def magnetised_link(points_coil_m: Points, theta: Theta) -> Field:
