@@ -105,6 +105,7 @@ WHOLE = {
             "inference/test_lattice",
             "inference/test_point_estimate",
             "model/test_one_model",
+            "model/test_unit_gate",
             "rig_files/test_write",
             "store/importers/forms/test_forms",
             "system/test_superposition",
