@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import math
-
-import numpy as np
 from jaxtyping import Float
 
 from estimator.export.plain_model import PlainCoil
+from estimator.field.quadrature import arcs_of
 from estimator.field.sided import SidedWinding
 from estimator.tensors import Tensor, torch
 
@@ -18,12 +16,5 @@ def is_rounded(coil: PlainCoil) -> bool:
 
 
 def first_arc(n: int) -> Float[Tensor, "point 3"]:
-    """Cosine, sine and weight of the points of the arc in the first quarter, by the rule of Gauss and Legendre.
-
-    Examples: The weights sum to the angle.
-        >>> first_arc(4)[:, 2].sum().item()
-        1.5708
-    """
-    nodes, weights = np.polynomial.legendre.leggauss(n)
-    angle = 0.25 * math.pi * (nodes + 1.0)
-    return torch.from_numpy(np.stack((np.cos(angle), np.sin(angle), 0.25 * math.pi * weights), axis=-1))
+    """Cosine, sine and weight of the points of the arc in the first quarter, by the rule of Gauss and Legendre."""
+    return torch.from_numpy(arcs_of(n)[:n, :3])

@@ -5,7 +5,7 @@ from __future__ import annotations
 from jaxtyping import Float
 
 from estimator.export.plain_model import PlainCoil
-from estimator.export.sides import first_arc
+from estimator.field.quadrature import arcs_of
 from estimator.field.sided import SidedWinding
 from estimator.field.straight import MU0_OVER_4PI
 from estimator.rig.bodies import Point
@@ -14,8 +14,6 @@ from estimator.tensors import Tensor, torch
 SMALLEST_RHO2_M2 = 1e-300
 # Currents along the sides, from the one at negative y on.
 CURRENTS = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (-1.0, 0.0, 0.0), (0.0, -1.0, 0.0))
-# Signs of x and y of the corners, in the order of the current.
-CORNERS = ((1.0, 1.0), (-1.0, 1.0), (-1.0, -1.0), (1.0, -1.0))
 FieldAndSlopes = tuple[Float[Tensor, "*batch 3"], Float[Tensor, "*batch 3 3"]]
 
 
@@ -88,7 +86,8 @@ def sided_per_ampere(
     field, slope = straight(away, along, (halves - radius[..., None])[..., None])
     fields, slopes = field.sum(-2), slope.sum(-3)
     if winding.is_rounded:
-        field, slope = _arcs((x, y, up), (half_x - radius, half_y - radius, radius), _arc_points(coil)[rule])
+        arcs = padded([torch.from_numpy(arcs_of(each.steps)) for each in coil.rules], 2)
+        field, slope = _arcs((x, y, up), (half_x - radius, half_y - radius, radius), arcs[rule])
         fields, slopes = fields + field, slopes + slope
     shares = MU0_OVER_4PI * weight[..., None]
     return (shares * fields).sum(1), (shares[..., None] * slopes).sum(1)
@@ -143,20 +142,6 @@ def _loops(coil: PlainCoil, winding: SidedWinding) -> Float[Tensor, "rule loop 5
         parts = (height, 0.5 * winding.side_x_m + out, 0.5 * winding.side_y_m + out, radius, weight)
         rows.append(torch.stack(torch.broadcast_tensors(*parts), dim=-1).flatten(0, 1))
     return padded(rows, 4)
-
-
-def _arc_points(coil: PlainCoil) -> Float[Tensor, "rule node 5"]:
-    """Cosine, sine, weight and signs of the corner of the points of all four arcs, by rule; shorter rows end in weightless points."""
-    rows = []
-    for rule in coil.rules:
-        cos, sin, share = first_arc(rule.steps).unbind(-1)
-        turned = ((cos, sin), (-sin, cos), (-cos, -sin), (sin, -cos))
-        arcs = [
-            torch.stack((c, s, share, torch.full_like(c, right), torch.full_like(c, back)), dim=-1)
-            for (c, s), (right, back) in zip(turned, CORNERS, strict=True)
-        ]
-        rows.append(torch.cat(arcs))
-    return padded(rows, 2)
 
 
 def padded(rows: list[Tensor], weight: int) -> Float[Tensor, "rule loop number"]:

@@ -7,8 +7,10 @@ full sum for n = N. Its Jacobi matrix is analytic in N, so a loop count may be a
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
+import numpy as np
 from jaxtyping import Float
 
 from estimator.tensors import Tensor, torch
@@ -50,3 +52,21 @@ def discrete_gauss(count: Float[Tensor, "*batch"], n_nodes: int) -> DiscreteRule
     nodes, vectors = torch.linalg.eigh(jacobi)
     weights = count[..., None] * vectors[..., 0, :] ** 2
     return DiscreteRule(nodes.expand(*batch, n_nodes), weights.expand(*batch, n_nodes))
+
+
+def arcs_of(n: int) -> Float[np.ndarray, "node 5"]:
+    """Points of the four arcs of a loop with round corners, by the rule of Gauss and Legendre, in the order of the current.
+
+    Args:
+        n: Points along each arc; 0 where corners are sharp.
+    Returns: Cosine, sine and weight of each point, then the signs of x and y of the middle of its arc. The first arc has the first rows.
+    Examples: The weights of an arc sum to its angle.
+        >>> round(float(arcs_of(4)[:4, 2].sum()), 4)
+        1.5708
+    """
+    nodes, weights = np.polynomial.legendre.leggauss(max(n, 1))
+    angle, share = 0.25 * math.pi * (nodes + 1.0), 0.25 * math.pi * weights
+    cos, sin = np.cos(angle), np.sin(angle)
+    turned = ((cos, sin, 1.0, 1.0), (-sin, cos, -1.0, 1.0), (-cos, -sin, -1.0, -1.0), (sin, -cos, 1.0, -1.0))
+    arcs = [np.stack(np.broadcast_arrays(c, s, share, right, back), axis=-1) for c, s, right, back in turned]
+    return np.concatenate([arc[:n] for arc in arcs])

@@ -22,7 +22,7 @@ from estimator.derivatives import value_and_jacobian
 from estimator.field.first_order import carrying_slopes, first_order_field
 from estimator.field.machine_code import is_plain
 from estimator.field.node_sum import SumMode
-from estimator.field.quadrature import discrete_gauss
+from estimator.field.quadrature import arcs_of, discrete_gauss
 from estimator.field.sided_kernel import slopes_of_sided_loops, sum_of_sided_loops
 from estimator.field.straight import MU0_OVER_4PI, along_wire
 from estimator.field.winding_shape import Rule, WindingShape
@@ -265,12 +265,20 @@ def _by_torch(
     at_once = math.prod(batch) * loops.weight.shape[-2:].numel() * 4 * max(arc_points, 1)
     n_parts = math.ceil(points_m.shape[-2] * at_once / ELEMENTS_PER_CHUNK)
     parts = points_m.tensor_split(max(1, min(n_parts, points_m.shape[-2])), dim=-2)
-    return torch.cat([_sum(part, loops, arc_points) for part in parts], dim=-2)
+    arcs = torch.from_numpy(arcs_of(arc_points)).to(points_m)
+    return torch.cat([sum_by_torch(part, loops, arcs) for part in parts], dim=-2)
 
 
-def _sum(
-    points_m: Float[Tensor, "*#batch point 3"], loops: SidedLoops, arc_points: int
+def sum_by_torch(
+    points_m: Float[Tensor, "*#batch point 3"], loops: SidedLoops, arcs: Float[Tensor, "*#batch node 5"]
 ) -> Float[Tensor, "*batch point 3"]:
+    """Field per ampere of loops with straight sides, in T/A, with derivatives of any order.
+
+    Args:
+        points_m: Points in the coil frame.
+        loops: Weighted loops that stand for a winding.
+        arcs: Points of the arcs (`arcs_of`); none where corners are sharp.
+    """
     x, y, z = (points_m[..., i, None, None] for i in range(3))
     height, half_x, half_y, radius, weight = (value[..., None, :, :] for value in loops)
     up = z - height
@@ -283,27 +291,21 @@ def _sum(
         up * (of_north - of_south),
         south * of_south + north * of_north + east * of_east + west * of_west,
     ]
-    if arc_points:
-        arcs = _arcs((x, y, up), (along_x, along_y, radius), arc_points)
-        field = [straight + arc for straight, arc in zip(field, arcs, strict=True)]
+    if arcs.shape[-2]:
+        of_arcs = _of_arcs((x, y, up), (along_x, along_y, radius), arcs[..., None, None, None, :, :])
+        field = [straight + arc for straight, arc in zip(field, of_arcs, strict=True)]
     return MU0_OVER_4PI * torch.stack([(weight * part).sum((-2, -1)) for part in field], dim=-1)
 
 
-def _arcs(
-    point_m: tuple[Tensor, Tensor, Tensor], shape_m: tuple[Tensor, Tensor, Tensor], n: int
+def _of_arcs(
+    point_m: tuple[Tensor, Tensor, Tensor], shape_m: tuple[Tensor, Tensor, Tensor], arcs: Tensor
 ) -> list[Float[Tensor, "*batch point axial radial"]]:
     """4 pi B / mu0 of the four arcs of each loop, in 1/m."""
-    x, y, up = (value[..., None, None] for value in point_m)
-    middle_x, middle_y, radius = (value[..., None, None] for value in shape_m)
-    nodes, weights = (v.to(x) for v in map(torch.from_numpy, np.polynomial.legendre.leggauss(n)))
-    quarters = torch.arange(4, dtype=x.dtype, device=x.device)[:, None]
-    angle = QUARTER * (quarters + 0.5 * (nodes + 1.0))
-    cos, sin = torch.cos(angle), torch.sin(angle)
-    right, back = (
-        torch.tensor(v, dtype=x.dtype, device=x.device)[:, None] for v in ((1, -1, -1, 1), (1, 1, -1, -1))
-    )
+    x, y, up = (value[..., None] for value in point_m)
+    middle_x, middle_y, radius = (value[..., None] for value in shape_m)
+    cos, sin, share, right, back = arcs.unbind(-1)
     away_x = x - right * middle_x - radius * cos
     away_y = y - back * middle_y - radius * sin
-    scale = 0.5 * QUARTER * weights * radius * (away_x**2 + away_y**2 + up**2) ** -1.5
+    scale = share * radius * (away_x**2 + away_y**2 + up**2) ** -1.5
     parts = (scale * cos * up, scale * sin * up, -scale * (sin * away_y + cos * away_x))
-    return [part.sum((-2, -1)) for part in parts]
+    return [part.sum(-1) for part in parts]

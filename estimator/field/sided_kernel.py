@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from math import pi, sqrt
+from math import sqrt
 
 import numpy as np
 from jaxtyping import Float
 
 from estimator.field.machine_code import array_of, machine_code
+from estimator.field.quadrature import arcs_of
+from estimator.field.straight import MU0_OVER_4PI
 from estimator.tensors import Tensor, torch
-from estimator.units import MU0_T_M_PER_A
-
-MU0_OVER_4PI = 0.25 / pi * MU0_T_M_PER_A
 
 
 def sum_of_sided_loops(
@@ -25,7 +24,7 @@ def sum_of_sided_loops(
         arc_points: Points along each arc; 0 where corners are sharp.
     """
     field = np.empty(points_m.shape)
-    _sum(array_of(points_m), array_of(loops), _arcs(arc_points), field)
+    _sum(array_of(points_m), array_of(loops), arcs_of(arc_points), field)
     return torch.from_numpy(field)
 
 
@@ -43,17 +42,8 @@ def slopes_of_sided_loops(
     """
     field, slopes = np.zeros(points_m.shape), np.zeros((*points_m.shape, 3 + changes.shape[-1]))
     arrays = (array_of(tensor) for tensor in (points_m, loops, changes))
-    _slopes(*arrays, _arcs(arc_points), field, slopes)
+    _slopes(*arrays, arcs_of(arc_points), field, slopes)
     return torch.from_numpy(field), torch.from_numpy(slopes)
-
-
-def _arcs(arc_points: int) -> Float[np.ndarray, "4 3 point"]:
-    """Cosine, sine and weight of each point of the four arcs."""
-    nodes, weights = np.polynomial.legendre.leggauss(max(arc_points, 1))
-    angle = 0.5 * pi * np.arange(4)[:, None] + 0.25 * pi * (nodes + 1.0)[:arc_points]
-    return np.stack(
-        np.broadcast_arrays(np.cos(angle), np.sin(angle), 0.25 * pi * weights[:arc_points]), axis=1
-    )
 
 
 @machine_code
@@ -86,17 +76,14 @@ def _sum(points, loops, arcs, field):  # type: ignore[no-untyped-def]
                 of_west = _wire(y, west * west + up2, along_y)[0]
                 b_x, b_y = up * (of_east - of_west), up * (of_north - of_south)
                 b_z = south * of_south + north * of_north + east * of_east + west * of_west
-                for quarter in range(4):
-                    middle_x = along_x if quarter in (0, 3) else -along_x
-                    middle_y = along_y if quarter < 2 else -along_y
-                    for k in range(arcs.shape[2]):
-                        c, s = arcs[quarter, 0, k], arcs[quarter, 1, k]
-                        away_x, away_y = x - middle_x - radius * c, y - middle_y - radius * s
-                        r2 = away_x * away_x + away_y * away_y + up2
-                        scale = radius * arcs[quarter, 2, k] / (r2 * sqrt(r2))
-                        b_x += scale * c * up
-                        b_y += scale * s * up
-                        b_z -= scale * (s * away_y + c * away_x)
+                for k in range(len(arcs)):
+                    c, s, share, right, back = arcs[k]
+                    away_x, away_y = x - right * along_x - radius * c, y - back * along_y - radius * s
+                    r2 = away_x * away_x + away_y * away_y + up2
+                    scale = radius * share / (r2 * sqrt(r2))
+                    b_x += scale * c * up
+                    b_y += scale * s * up
+                    b_z -= scale * (s * away_y + c * away_x)
                 sum_x += weight * b_x
                 sum_y += weight * b_y
                 sum_z += weight * b_z
@@ -166,29 +153,26 @@ def _corners(point, loop, arcs, b, g):  # type: ignore[no-untyped-def]
     up, radius = point[2] - loop[0], loop[3]
     # At a point of an arc: its field, and slopes in away_x, away_y, up and radius.
     p, by = np.empty(3), np.empty((3, 4))
-    for quarter in range(4):
-        right = 1.0 if quarter in (0, 3) else -1.0
-        back = 1.0 if quarter < 2 else -1.0
-        for k in range(arcs.shape[2]):
-            c, s, share = arcs[quarter, 0, k], arcs[quarter, 1, k], arcs[quarter, 2, k]
-            away_x = point[0] - right * (loop[1] - radius) - radius * c
-            away_y = point[1] - back * (loop[2] - radius) - radius * s
-            r2 = away_x * away_x + away_y * away_y + up * up
-            per_radius = share / (r2 * sqrt(r2))
-            scale = radius * per_radius
-            p[0], p[1], p[2] = c * up, s * up, -(s * away_y + c * away_x)
-            by[:] = 0.0
-            by[0, 2], by[1, 2], by[2, 0], by[2, 1] = scale * c, scale * s, -scale * c, -scale * s
-            shrink = -3.0 * scale / r2
-            for m in range(3):
-                b[m] += scale * p[m]
-                by[m, 0] += shrink * away_x * p[m]
-                by[m, 1] += shrink * away_y * p[m]
-                by[m, 2] += shrink * up * p[m]
-                by[m, 3] = per_radius * p[m] + (right - c) * by[m, 0] + (back - s) * by[m, 1]
-                g[m, 0] += by[m, 0]
-                g[m, 1] += by[m, 1]
-                g[m, 2] += by[m, 2]
-                g[m, 3] -= right * by[m, 0]
-                g[m, 4] -= back * by[m, 1]
-                g[m, 5] += by[m, 3]
+    for k in range(len(arcs)):
+        c, s, share, right, back = arcs[k]
+        away_x = point[0] - right * (loop[1] - radius) - radius * c
+        away_y = point[1] - back * (loop[2] - radius) - radius * s
+        r2 = away_x * away_x + away_y * away_y + up * up
+        per_radius = share / (r2 * sqrt(r2))
+        scale = radius * per_radius
+        p[0], p[1], p[2] = c * up, s * up, -(s * away_y + c * away_x)
+        by[:] = 0.0
+        by[0, 2], by[1, 2], by[2, 0], by[2, 1] = scale * c, scale * s, -scale * c, -scale * s
+        shrink = -3.0 * scale / r2
+        for m in range(3):
+            b[m] += scale * p[m]
+            by[m, 0] += shrink * away_x * p[m]
+            by[m, 1] += shrink * away_y * p[m]
+            by[m, 2] += shrink * up * p[m]
+            by[m, 3] = per_radius * p[m] + (right - c) * by[m, 0] + (back - s) * by[m, 1]
+            g[m, 0] += by[m, 0]
+            g[m, 1] += by[m, 1]
+            g[m, 2] += by[m, 2]
+            g[m, 3] -= right * by[m, 0]
+            g[m, 4] -= back * by[m, 1]
+            g[m, 5] += by[m, 3]
