@@ -5,7 +5,6 @@ from __future__ import annotations
 from estimator.export.labels import identifier
 from estimator.export.plain_model import PlainCoil, numbers_of
 from estimator.export.request import Request
-from estimator.export.sides import first_arc, is_rounded
 from estimator.export.templates import Filters, number, source_code
 from estimator.field.winding import Winding
 from estimator.frames import Transform
@@ -66,8 +65,6 @@ FILTERS: Filters = {
     "table": _rows,
     "pose": _pose,
     "sides": _sides,
-    "is_rounded": is_rounded,
     "radius": lambda coil: coil.winding.radius_m if isinstance(coil.winding, Winding) else 0.0,
     "padded": lambda row, n: torch.cat((row, row.new_zeros(n - len(row)))),
-    "arc": first_arc,
 }

@@ -8,7 +8,6 @@ from dataclasses import astuple
 from estimator.errors import InvalidInput, quoted
 from estimator.export.plain_model import numbers_of
 from estimator.export.request import Request
-from estimator.export.sides import first_arc, is_rounded
 from estimator.export.templates import Filters, number, source_code
 from estimator.frames import Transform
 from estimator.rig.arms import DenavitHartenberg
@@ -66,8 +65,6 @@ FILTERS: Filters = {
     "homogeneous": _homogeneous,
     "table": _table,
     "winding": lambda coil: numbers_of(coil.winding).items(),
-    "is_rounded": is_rounded,
-    "arc": first_arc,
     "pieces": lambda leads: (
         _rows(torch.tensor(leads, dtype=torch.float64).reshape(-1, 6)) if leads else "zeros(0, 6)"
     ),

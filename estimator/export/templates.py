@@ -6,14 +6,16 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 import jinja2
+from jaxtyping import Float
 
 from estimator.export.labels import plain_words
 from estimator.export.magnet import Magnet
-from estimator.export.plain_model import PlainModel
+from estimator.export.plain_model import PlainCoil, PlainModel
+from estimator.field.quadrature import arcs_of
 from estimator.field.sided import SidedWinding
 from estimator.field.winding_shape import DEFAULT_TOLERANCE
 from estimator.field.zones import ZONES_PER_OCTAVE
-from estimator.tensors import Tensor
+from estimator.tensors import Tensor, torch
 
 Filters = Mapping[str, Callable[..., Any]]  # how values are written in a language, by name
 
@@ -23,14 +25,14 @@ def template(name: str, filters: Filters) -> jinja2.Template:
 
     Args:
         name: Of its file.
-        filters: Besides `number`.
+        filters: Besides those that every language needs.
     """
     environment = jinja2.Environment(
         loader=jinja2.PackageLoader("estimator.export", "."),
         undefined=jinja2.StrictUndefined,
         keep_trailing_newline=True,
     )
-    environment.filters |= {"number": number, **filters}
+    environment.filters |= {"number": number, "is_rounded": _is_rounded, "arc": _first_arc, **filters}
     return environment.get_template(name)
 
 
@@ -41,7 +43,7 @@ def source_code(magnet: Magnet, model: PlainModel, file: str, filters: Filters, 
         magnet: What is exported.
         model: Its numbers.
         file: The template.
-        filters: Besides `number`.
+        filters: Besides those that every language needs.
         own: What this language asks for besides.
     """
     sided = any(isinstance(coil.winding, SidedWinding) for coil in model.coils)
@@ -70,3 +72,13 @@ def number(value: Tensor | float) -> str:
         '0.1'
     """
     return repr(float(value))
+
+
+def _is_rounded(coil: PlainCoil) -> bool:
+    """Whether a coil has corners that are arcs."""
+    return isinstance(coil.winding, SidedWinding) and coil.winding.is_rounded
+
+
+def _first_arc(n: int) -> Float[Tensor, "point 3"]:
+    """Cosine, sine and weight of the points of the arc in the first quarter."""
+    return torch.from_numpy(arcs_of(n)[:n, :3])

@@ -12,8 +12,8 @@ from estimator.export.magnet import Magnet
 from estimator.export.plain_model import PlainCoil, PlainModel, PlainMover
 from estimator.export.request import Request
 from estimator.export.torch_wires import of_leads, padded, sided_per_ampere
-from estimator.field.kernel import SMALLEST_RHO2_M2
 from estimator.field.loop import loop_derivatives
+from estimator.field.node_sum import field_and_slopes_by_torch
 from estimator.field.sided import SidedWinding, distance_to_sided
 from estimator.field.winding import Winding, distance_to_winding
 from estimator.field.zones import ZONES_PER_OCTAVE
@@ -140,21 +140,12 @@ def _round_per_ampere(
     coil: PlainCoil, winding: Winding, points_m: Float[Tensor, "point 3"], rule: Int[Tensor, " point"]
 ) -> tuple[Float[Tensor, "point 3"], Float[Tensor, "point 3 3"]]:
     x, y, z = points_m.unbind(-1)
-    rho2 = x * x + y * y
     heights_m, radii_m, weights = (table[rule] for table in _loops(coil, winding))
     steps = max(rule.steps for rule in coil.rules)  # more steps than a rule needs change nothing
     of_loops = loop_derivatives(x[:, None], y[:, None], z[:, None] - heights_m, radii_m, steps)
     h, axial, h_z, axial_z = ((weights * part).sum(-1) for part in of_loops)
-    # div B = 0 and curl B = 0 give the derivatives across the axis.
-    is_on_axis = rho2 < SMALLEST_RHO2_M2
-    across = torch.where(is_on_axis, 0.0, (2.0 * h + axial_z) / torch.where(is_on_axis, 1.0, rho2))
-    xy = -x * y * across
-    rows = (
-        torch.stack((h - x * x * across, xy, x * h_z), dim=-1),
-        torch.stack((xy, h - y * y * across, y * h_z), dim=-1),
-        torch.stack((x * h_z, y * h_z, axial_z), dim=-1),
-    )
-    return torch.stack((x * h, y * h, axial), dim=-1), torch.stack(rows, dim=-2)
+    sums = torch.stack((torch.stack((h, h_z)), torch.stack((axial, axial_z))))
+    return field_and_slopes_by_torch(points_m[:, :2], sums)
 
 
 def _loops(coil: PlainCoil, winding: Winding) -> tuple[Tensor, Tensor, Tensor]:

@@ -16,8 +16,7 @@ import numpy as np
 from jaxtyping import Float
 
 from estimator.field.loop import FEWEST_STEPS
-from estimator.field.machine_code import array_of
-from estimator.field.machine_code import machine_code as machine_code  # noqa: PLC0414 - evidence_kernel imports it from here
+from estimator.field.machine_code import array_of, machine_code
 from estimator.tensors import Tensor, torch
 from estimator.units import MU0_T_M_PER_A
 

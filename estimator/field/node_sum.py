@@ -107,12 +107,12 @@ def carrying_first_order(
         )
         value, slopes = value.reshape(*batch, *value.shape[1:]), slopes.reshape(*batch, *slopes.shape[1:])
     else:
-        value, slopes = _field_and_slopes(fixed_m[..., :2], sums)
+        value, slopes = field_and_slopes_by_torch(fixed_m[..., :2], sums)
     field = carrying_slopes(value, slopes, points_m)
     return field if changes is None else field + _field(fixed_m[..., :2], *changes)
 
 
-def _field_and_slopes(
+def field_and_slopes_by_torch(
     across_m: Float[Tensor, "*#batch point 2"], sums: Float[Tensor, "2 *#batch 2 point"]
 ) -> tuple[Float[Tensor, "*batch point 3"], Float[Tensor, "*batch point 3 3"]]:
     """`field.kernel.field_and_slopes`, for numbers of any kind."""

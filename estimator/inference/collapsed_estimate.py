@@ -42,9 +42,8 @@ def collapsed_estimate(posterior: CollapsedPosterior, observations: Observations
     n_agreeing = int((value > value.max() - 1.0).sum())
     candidates = distinct(simplexes.points[order], coordinates.scale)
     fits = Optimum.concatenated([_climbed(posterior, candidate) for candidate in candidates])
-    top = int(fits.log_posterior.argmax())
     return PointEstimate(
-        fits.rows(slice(top, top + 1)), int(simplexes.n_evaluations.sum()), n_agreeing, len(simplexes.points)
+        fits.highest(), int(simplexes.n_evaluations.sum()), n_agreeing, len(simplexes.points)
     )
 
 

@@ -75,9 +75,9 @@ def point_estimate(
     is_candidate = thinned_fits.log_posterior > best - 30.0
     candidates = distinct(thinned_fits.vector[is_candidate], coordinates.scale)
     fits = levenberg_marquardt(posterior, candidates)
-    top = int(fits.log_posterior.argmax())
-    fit = fits.rows(slice(top, top + 1))
-    return PointEstimate(fit, int(simplexes.n_evaluations.sum()), n_agreeing, len(simplexes.points))
+    return PointEstimate(
+        fits.highest(), int(simplexes.n_evaluations.sum()), n_agreeing, len(simplexes.points)
+    )
 
 
 def thinned_posterior(

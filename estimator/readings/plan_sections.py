@@ -11,12 +11,11 @@ import numpy as np
 from estimator.errors import InvalidInput, quoted
 from estimator.readings.halton import halton
 from estimator.readings.protocol import recommended_currents_A
-from estimator.rig.bodies import POSE_QUANTITIES, Mover
+from estimator.rig.bodies import CARTESIAN, Mover
 from estimator.rig.rig import Rig
 from estimator.units import LARGEST
 from estimator.yaml_section import Section
 
-CARTESIAN = POSE_QUANTITIES[:6]  # position and rotation vector; tilts and spin belong to mounts
 MOST_STOPS = 200_000  # of a plan; two days at one a second
 JOINTS = tuple((f"q{i}", "angle") for i in range(6))
 

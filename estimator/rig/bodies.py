@@ -19,18 +19,17 @@ from estimator.rig.charged_box import (
 )
 from estimator.rig.harmonic_terms import amplitude_key, terms
 
-POSE_KEYS = ("x_m", "y_m", "z_m", "rx_rad", "ry_rad", "rz_rad", "tilt_x_rad", "tilt_y_rad", "spin_rad")
-POSE_QUANTITIES = (
+# Position and rotation vector.
+CARTESIAN = (
     ("x", "length"),
     ("y", "length"),
     ("z", "length"),
     ("rx", "angle"),
     ("ry", "angle"),
     ("rz", "angle"),
-    ("tilt_x", "angle"),
-    ("tilt_y", "angle"),
-    ("spin", "angle"),
 )
+POSE_QUANTITIES = (*CARTESIAN, *((turn, "angle") for turn in ("tilt_x", "tilt_y", "spin")))  # of a mount
+POSE_KEYS = tuple(f"{quantity}_{'m' if kind == 'length' else 'rad'}" for quantity, kind in POSE_QUANTITIES)
 
 
 class MotionKind(StrEnum):

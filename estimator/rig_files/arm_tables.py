@@ -8,7 +8,7 @@ from typing import TypeVar
 
 from estimator.errors import InvalidInput
 from estimator.rig.arms import ARMS, N_JOINTS, ArmEnds, DenavitHartenberg
-from estimator.rig.bodies import MotionKind
+from estimator.rig.bodies import CARTESIAN, MotionKind
 from estimator.rig.charged_box import Triple
 from estimator.rig_files.arm_files import arm_from_urdf, corrections_from_ros
 from estimator.units import LARGEST
@@ -18,7 +18,6 @@ Table = TypeVar("Table")  # of an arm, with its ends or without
 TABLE, CORRECTIONS, URDF = "denavit_hartenberg", "factory_corrections", "urdf"
 FILE = "file"  # of `ur_calibration`
 ENDS = ("base_from_first", "last_from_flange")
-POSE = (("x", "length"), ("y", "length"), ("z", "length"), ("rx", "angle"), ("ry", "angle"), ("rz", "angle"))
 COLUMNS = (("theta", "angle"), ("a", "length"), ("d", "length"), ("alpha", "angle"))
 
 
@@ -60,7 +59,7 @@ def read_own_table(section: Section, motion: MotionKind) -> tuple[DenavitHartenb
 
 
 def _end(section: Section) -> tuple[float, ...]:
-    entries = (section.quantity(quantity, dimension) for quantity, dimension in POSE)
+    entries = (section.quantity(quantity, dimension) for quantity, dimension in CARTESIAN)
     numbers = tuple(0.0 if entry is None else entry[1] for entry in entries)
     section.finish()
     return numbers

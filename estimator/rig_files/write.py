@@ -13,7 +13,7 @@ from estimator.rig import bodies
 from estimator.rig.arms import ArmEnds, DenavitHartenberg
 from estimator.rig.parameters import Parameter, Tie
 from estimator.rig.rig import Cause, Rig
-from estimator.rig_files.arm_tables import COLUMNS, ENDS, POSE, key_of_table
+from estimator.rig_files.arm_tables import COLUMNS, ENDS, key_of_table
 from estimator.rig_files.bodies import LEADS, RACETRACK, RECTANGULAR, outline_of
 from estimator.rig_files.devices import DEVICES
 from estimator.rig_files.dumped import Line, dumped
@@ -85,7 +85,7 @@ def _own_table(table: DenavitHartenberg, ends: ArmEnds | None) -> Line:
         line[f"{quantity}_{unit}"] = [in_unit(value, UNITS[unit].to_si) for value in column]
     for end, pose in zip(ENDS, () if ends is None else astuple(ends), strict=False):
         line[end] = Line()
-        for (quantity, dimension), value in zip(POSE, pose, strict=True):
+        for (quantity, dimension), value in zip(bodies.CARTESIAN, pose, strict=True):
             line[end] |= exact_number(quantity, dimension, value)
     return line
 

@@ -7,7 +7,7 @@ from math import erfc, inf, log, pi, sqrt
 
 import numpy as np
 
-from estimator.field.kernel import machine_code
+from estimator.field.machine_code import machine_code
 
 RIDGE = 1e-10  # of the square of a column: what rounding leaves of those that the rig's numbers follow
 FAR = (

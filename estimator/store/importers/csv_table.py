@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from itertools import chain
 from pathlib import Path
 from typing import Any, Protocol, runtime_checkable
@@ -175,7 +176,7 @@ class _Reader:
         values = np.concatenate(self._blocks) if self._blocks else np.zeros(0)
         words = list(self._numbering)
         if self._is_number:
-            return Cells(values, self._refused, [], np.zeros(0, dtype=np.int32))
+            return replace(Cells.of_numbers(values), refused=self._refused)
         return Cells(None, {}, words, values.astype(np.int32))
 
     def _codes(self, cells: Sequence[str]) -> npt.NDArray[np.int32]:

@@ -15,8 +15,8 @@ from estimator.field.loop import loop_field
 from estimator.field.machine_code import is_plain
 from estimator.field.node_sum import (
     Nodes,
-    _field_and_slopes,
     carrying_first_order,
+    field_and_slopes_by_torch,
     loop_slopes,
     sum_over_nodes,
     sum_to_first_order,
@@ -112,7 +112,7 @@ def test_machine_code_and_torch_give_the_same_field_and_slopes_of_summed_factors
     points_m[0, 0, 0, :2] = 0.0  # on the axis
     free_m = points_m.clone().requires_grad_()
     field = carrying_first_order(free_m, sums)
-    value, slopes = _field_and_slopes(points_m[..., :2], sums)
+    value, slopes = field_and_slopes_by_torch(points_m[..., :2], sums)
     assert torch.allclose(field.detach(), value, rtol=1e-15, atol=0.0)
     weight = random(*field.shape, seed=2) - 0.5
     (gradient,) = torch.autograd.grad(field, free_m, weight)

@@ -57,8 +57,4 @@ def _interleaved(parts: list[Cells | None], headers: list[HeaderCell | None], n_
         if part is not None and cell is not None and part.numbers is not None:
             numbers[:, i] = part.numbers * cell.to_si
             refused |= {row * len(parts) + i: text for row, text in part.refused.items()}
-    return (
-        Cells.of_numbers(numbers.reshape(-1))
-        if not refused
-        else Cells(numbers.reshape(-1), refused, [], np.zeros(0, dtype=np.int32))
-    )
+    return replace(Cells.of_numbers(numbers.reshape(-1)), refused=refused)
