@@ -21,7 +21,7 @@ from drivers.protocols import CurrentSource, FieldSensor, RobotArm, TemperatureM
 from drivers.settings import Settings
 from drivers.supervised import LONGEST_START_S
 from drivers.supplies import korad_ka3005p, scpi
-from drivers.supplies.opener import Rating, SupplyOpener
+from drivers.supplies.commands import Rating, SupplyOpener
 from drivers.supplies.ramped import RampedSource, longest_off_s
 from drivers.supplies.supervised import SupervisedSource
 from drivers.thermometers import lakeshore_224

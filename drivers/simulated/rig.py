@@ -11,12 +11,11 @@ from drivers.device import ClosesItself
 from drivers.errors import Refused
 from drivers.limits_section import thermometer_inputs
 from drivers.protocols import FlangePose
-from drivers.simulated.hall import Simulated460, SimulatedF71, SimulatedSenis
+from drivers.simulated.hall import Simulated460, SimulatedF71, SimulatedSenis, SimulatedTHM1176
 from drivers.simulated.instrument import Instrument
 from drivers.simulated.process import Simulator
 from drivers.simulated.supplies import SimulatedKorad, simulated_kepco, simulated_scpi_supply
 from drivers.simulated.thermometers import Simulated224
-from drivers.simulated.thm1176 import SimulatedTHM1176
 from drivers.simulated.ur_server import serve_ur
 from drivers.simulated.world import CoilCircuit, FieldFunction, World
 

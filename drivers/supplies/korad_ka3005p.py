@@ -16,8 +16,7 @@ from drivers.errors import DeviceFault
 from drivers.port_settings import port_of
 from drivers.readings import ascii_text, number
 from drivers.settings import Settings
-from drivers.supplies.commands import Measured
-from drivers.supplies.opener import Rating, SupplyOpener
+from drivers.supplies.commands import Measured, Rating, SupplyOpener
 from drivers.transport.channel import Channel
 from drivers.transport.port import Port
 from drivers.transport.serial_port import SerialSettings

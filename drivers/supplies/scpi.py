@@ -16,8 +16,7 @@ from drivers.errors import DeviceFault, Refused
 from drivers.port_settings import SCPI_SERIAL, port_of
 from drivers.readings import ascii_text, number, quoted
 from drivers.settings import Settings
-from drivers.supplies.commands import Measured
-from drivers.supplies.opener import Rating, SupplyOpener
+from drivers.supplies.commands import Measured, Rating, SupplyOpener
 from drivers.transport.channel import Channel, Landmark
 from drivers.transport.port import Port
 

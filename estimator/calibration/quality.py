@@ -17,10 +17,9 @@ import numpy as np
 from scipy.special import bdtr
 
 from estimator.calibration import policy
-from estimator.calibration.halves import disagreements, unseen
+from estimator.calibration.halves import clearest_pattern, disagreements, unseen
 from estimator.calibration.linear_fit import Disagreement, LinearFit
 from estimator.calibration.next_degree import CLEAR_LOG_EVIDENCE
-from estimator.calibration.patterns import clearest_pattern
 from estimator.calibration.result import Calibration
 from estimator.effects import EFFECTS
 from estimator.inference.noise_of_readings import noise_rms_T, noise_words, scatter_of_sensors

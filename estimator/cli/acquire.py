@@ -17,7 +17,7 @@ from estimator.errors import CorruptStore
 if TYPE_CHECKING:
     from estimator.acquisition.pace import Pace
     from estimator.cli.delivery import Delivery
-    from estimator.planning.pilot import Pilot
+    from estimator.planning.choosing import Pilot
     from estimator.readings.observations import Observations
     from estimator.rig.rig import Rig
     from estimator.store.session import Session

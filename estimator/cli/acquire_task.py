@@ -28,7 +28,7 @@ from estimator.cli.progress import Reporter
 from estimator.errors import InvalidInput
 from estimator.frames import Transform
 from estimator.planning.candidates import clear_candidates, one_row_each
-from estimator.planning.pilot import Pilot
+from estimator.planning.choosing import Pilot
 from estimator.readings.observations import Observations
 from estimator.readings.plan import Plan, load_plan
 from estimator.rig.rig import Rig

@@ -14,8 +14,8 @@ from estimator.cli.contents import ending
 from estimator.cli.instruments import Bench
 from estimator.cli.output import EXIT_DRIFTED, EXIT_NOT_CONVERGED, show
 from estimator.errors import InvalidInput
+from estimator.planning.choosing import Pilot
 from estimator.planning.decision import Limits
-from estimator.planning.pilot import Pilot
 from estimator.readings.observations import Observations
 from estimator.recalibration.recheck import CHANGED, HOLDS, Recheck
 from estimator.recalibration.registry import Registry

@@ -10,13 +10,11 @@ from torch import Tensor
 
 from estimator.acquisition.pace import Pace
 from estimator.planning.candidates import fitted_rig, largest_currents_A
-from estimator.planning.choosing import Chooser
+from estimator.planning.choosing import Chooser, Pilot
 from estimator.planning.decision import Decision, Limits, elapsed_s, refused_before
-from estimator.planning.goal_text import goal_of
-from estimator.planning.goals import Goal
+from estimator.planning.goals import Goal, goal_of
 from estimator.planning.information import refuse_unreachable
 from estimator.planning.judgement import Judged, judge
-from estimator.planning.pilot import Pilot
 from estimator.planning.so_far import SoFar
 from estimator.readings.observations import Observations
 from estimator.rig.rig import Rig

@@ -13,7 +13,7 @@ from estimator.effects.everywhere import with_everywhere
 from estimator.errors import InvalidInput
 from estimator.planning.candidates import clear_candidates, fitted_rig, largest_currents_A
 from estimator.planning.design import Design
-from estimator.planning.goal_text import goal_of
+from estimator.planning.goals import goal_of
 from estimator.planning.information import N_DRAWS, Expected, draws_of_prior, refuse_unreachable
 from estimator.planning.planned import Planned, Visits
 from estimator.readings.plan import Plan

@@ -19,9 +19,9 @@ from estimator.inference.likelihood import LogPosterior
 from estimator.inference.running import RunningFit
 from estimator.model.measurement_model import MeasurementModel
 from estimator.planning.candidates import one_row_each
+from estimator.planning.causes import with_ordinary
 from estimator.planning.goals import Goal
 from estimator.planning.information import Expected, draws_of_prior, known_coordinates
-from estimator.planning.ordinary import with_ordinary
 from estimator.planning.unseen import Unseen
 from estimator.readings.observations import Observations
 from estimator.rig.coordinates import Coordinates

@@ -16,8 +16,8 @@ from estimator.calibration.result import Calibration
 from estimator.errors import InvalidInput
 from estimator.inference.likelihood import LogPosterior
 from estimator.model.measurement_model import MeasurementModel
+from estimator.planning.causes import with_ordinary
 from estimator.planning.information import known_coordinates
-from estimator.planning.ordinary import with_ordinary
 from estimator.readings.observations import Observations
 from estimator.recalibration.policy import N_DRAWS
 from estimator.rig.coordinates import Coordinates

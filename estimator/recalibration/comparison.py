@@ -23,7 +23,15 @@ from estimator.model.measurement_model import MeasurementModel
 from estimator.readings.observations import Observations
 from estimator.readings.split import thinned
 from estimator.recalibration.agreement import Agreement, agreement
-from estimator.recalibration.conclusion import EVIDENCE, IS_CONVERGED, Conclusion, Judgement
+from estimator.recalibration.conclusion import (
+    EVIDENCE,
+    IS_CONVERGED,
+    Conclusion,
+    Judgement,
+    mistake_in,
+    sizes_of,
+    words_of,
+)
 from estimator.recalibration.successor import (
     causes_of,
     estimate_of,
@@ -33,7 +41,6 @@ from estimator.recalibration.successor import (
     stored_log_density,
 )
 from estimator.recalibration.watcher import UNWATCHED, Watcher
-from estimator.recalibration.words import mistake_in, sizes_of, words_of
 from estimator.reporting.numbers import displays, percent, size_with_unit
 from estimator.rig.rig import Cause, Rig
 from estimator.store.session import Session

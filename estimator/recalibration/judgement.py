@@ -16,7 +16,7 @@ from estimator.model.preflight import check_readings
 from estimator.model.unit_gate import check_units
 from estimator.readings.split import with_validation
 from estimator.recalibration.comparison import Comparison
-from estimator.recalibration.conclusion import IS_CONVERGED, Conclusion, Judgement
+from estimator.recalibration.conclusion import IS_CONVERGED, Conclusion, Judgement, mistake_in, names_of
 from estimator.recalibration.successor import (
     causes_of,
     estimate_of,
@@ -26,7 +26,6 @@ from estimator.recalibration.successor import (
 )
 from estimator.recalibration.watcher import UNWATCHED, Watcher
 from estimator.recalibration.widening import widened_rig
-from estimator.recalibration.words import mistake_in, names_of
 from estimator.rig.rig import Rig
 from estimator.store.session import Session
 

@@ -12,9 +12,8 @@ from jaxtyping import Float
 from estimator.acquisition.pace import Pace
 from estimator.calibration.result import Calibration
 from estimator.planning.candidates import one_row_each
-from estimator.planning.choosing import Chooser
+from estimator.planning.choosing import Chooser, Pilot
 from estimator.planning.decision import Decided, Limits, refused_before
-from estimator.planning.pilot import Pilot
 from estimator.readings.observations import Observations
 from estimator.recalibration.changes import SCATTER, Changes, Expansion, Whitened
 from estimator.recalibration.sequential import Innovations, Rates

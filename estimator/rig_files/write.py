@@ -16,8 +16,16 @@ from estimator.rig.rig import Cause, Rig
 from estimator.rig_files.arm_tables import COLUMNS, ENDS, key_of_table
 from estimator.rig_files.bodies import LEADS, RACETRACK, RECTANGULAR, outline_of
 from estimator.rig_files.devices import DEVICES
-from estimator.rig_files.dumped import Line, dumped
-from estimator.rig_files.exact_numbers import best_unit, entry_of, exact_number, in_unit, is_same, number_of
+from estimator.rig_files.dumped import (
+    Line,
+    best_unit,
+    dumped,
+    entry_of,
+    exact_number,
+    in_unit,
+    is_same,
+    number_of,
+)
 from estimator.rig_files.harmonic import (
     EQUIVALENT_SOURCES,
     HARMONIC,

@@ -17,11 +17,10 @@ from drivers.hall.lakeshore_f71 import LakeShoreF71
 from drivers.hall.metrolab_thm1176 import MetrolabTHM1176
 from drivers.hall.senis_3mh6 import SERIAL as SERIAL_SENIS
 from drivers.hall.senis_3mh6 import Senis3MH6
-from drivers.simulated.hall import Simulated460, SimulatedF71, SimulatedSenis
+from drivers.simulated.hall import Simulated460, SimulatedF71, SimulatedSenis, SimulatedTHM1176
 from drivers.simulated.process import Simulator
 from drivers.simulated.supplies import SimulatedKorad, simulated_kepco, simulated_scpi_supply
 from drivers.simulated.thermometers import Simulated224
-from drivers.simulated.thm1176 import SimulatedTHM1176
 from drivers.simulated.world import CoilCircuit, World
 from drivers.supplies.korad_ka3005p import SERIAL as SERIAL_KORAD
 from drivers.supplies.korad_ka3005p import KoradKA3005P

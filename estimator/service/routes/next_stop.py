@@ -7,7 +7,7 @@ from typing import Annotated
 
 from pydantic import BaseModel, Field
 
-from estimator.planning.goal_text import reads_file
+from estimator.planning.goals import reads_file
 from estimator.service.next_stops import Question
 from estimator.service.problems import Problem
 from estimator.service.requests import CoreOf, Id, Seed, router_of, turn

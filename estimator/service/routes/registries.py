@@ -11,10 +11,10 @@ from typing import Annotated, Any, TypeVar
 from pydantic import BaseModel, Field
 from sqlalchemy import select
 
+from estimator.recalibration.history_report import judged, summary_of, versions_in_use
 from estimator.recalibration.log import Entry
 from estimator.recalibration.recalibrate import roll_back
 from estimator.recalibration.registry import Registry, RegistryBusy
-from estimator.recalibration.timeline import judged, summary_of, versions_in_use
 from estimator.service.answers import Item, Listing, ListingOf, Page, shown_as
 from estimator.service.core import Core
 from estimator.service.job_queue import RETRY_AFTER_S

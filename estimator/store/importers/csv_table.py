@@ -16,8 +16,17 @@ import numpy.typing as npt
 
 from estimator.errors import CoilcalError, Faults, InvalidInput, cut
 from estimator.store.importers.csv_lines import BadLine, Block, csv_blocks, row_of
-from estimator.store.importers.places import MOST_PLACES, fault_at, left_out
-from estimator.store.importers.table import SKIP, Cells, Column, HeaderCell, Table, number_of
+from estimator.store.importers.table import (
+    MOST_PLACES,
+    SKIP,
+    Cells,
+    Column,
+    HeaderCell,
+    Table,
+    fault_at,
+    left_out,
+    number_of,
+)
 from estimator.units import split_unit
 
 EXPORT = "no line has: where commas are decimal signs too, export it with semicolons between cells"

@@ -16,8 +16,7 @@ from estimator.readings.segments import NO_SEGMENT
 from estimator.rig.bodies import MotionKind, Mover
 from estimator.rig.rig import Rig
 from estimator.store.importers.common import moment
-from estimator.store.importers.places import MOST_PLACES, left_out
-from estimator.store.importers.table import Column, Table
+from estimator.store.importers.table import MOST_PLACES, Column, Table, left_out
 from estimator.tensors import Tensor, torch
 from estimator.units import split_unit
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from estimator.calibration.halves import clearest_pattern
 from estimator.calibration.linear_fit import LinearFit
-from estimator.calibration.patterns import clearest_pattern
 from estimator.effects.attach import with_effect
 from estimator.model.simulate import simulate
 from estimator.readings.observations import Observations

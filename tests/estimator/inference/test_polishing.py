@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from estimator.effects.attach import with_effect
-from estimator.inference import sweep
+from estimator.inference import running as running_fit
 from estimator.inference.levenberg_marquardt import (
     gradient_and_information,
     levenberg_marquardt,
@@ -124,8 +124,8 @@ def test_after_each_reading_it_is_the_batch_fit_once_polished_and_not_before(
 def test_readings_that_come_between_two_parts_do_not_wait_and_are_in_the_result(
     small_rig, readings, monkeypatch
 ):
-    monkeypatch.setattr(sweep, "GRADIENT_READINGS", 9)
-    monkeypatch.setattr(sweep, "LINEARISED_PREDICTIONS", 50)
+    monkeypatch.setattr(running_fit, "GRADIENT_READINGS", 9)
+    monkeypatch.setattr(running_fit, "LINEARISED_PREDICTIONS", 50)
     sizes = []
     gradient = LogPosterior.gradient
     monkeypatch.setattr(

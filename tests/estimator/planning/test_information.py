@@ -13,7 +13,7 @@ from estimator.model.measurement_model import MeasurementModel
 from estimator.model.simulate import simulate
 from estimator.planning.candidates import candidates_of, possible
 from estimator.planning.design import Design
-from estimator.planning.goal_text import goal_of
+from estimator.planning.goals import goal_of
 from estimator.planning.information import Expected, draws_of_prior, is_clear, known_coordinates
 from estimator.readings.plan import load_plan, plan_from_text, plan_text
 from estimator.rig.coordinates import Coordinates

@@ -10,7 +10,7 @@ import torch
 
 from estimator import InvalidInput, plan, simulate
 from estimator.acquisition.pace import Pace, default_pace, durations_s
-from estimator.planning.goal_text import goal_of
+from estimator.planning.goals import goal_of
 from estimator.planning.planned import Planned, tour
 from estimator.readings.plan import Plan, plan_from_text
 from estimator.rig.parameters import Normal

@@ -12,7 +12,7 @@ from torch import Tensor
 from estimator.effects import EFFECTS
 from estimator.model.measurement_model import MeasurementModel
 from estimator.planning.candidates import clear_candidates
-from estimator.planning.ordinary import with_ordinary
+from estimator.planning.causes import with_ordinary
 from estimator.planning.unseen import ODDS, SURE, Unseen
 
 N_OWN, N_CAUSES, N_NUMBERS = 3, 4, 5
