@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-import math
 import re
 import signal
-import time
 from collections.abc import Callable
+from datetime import UTC, datetime
+from queue import Empty, SimpleQueue
 
 import click
+from apscheduler.schedulers.background import BackgroundScheduler
 
 from estimator.cli.interruption import interrupted_by
 from estimator.errors import CoilcalError, InvalidInput, quoted
@@ -41,17 +42,30 @@ def keep_running(job: Callable[[], object], every_s: float) -> None:
     Intervals that end while the job runs are made up for by one run after it. A fault that coilcal or the system can explain is printed
     and does not end the loop: an inbox that is not mounted now may be there the next time.
     """
+    due: SimpleQueue[None] = SimpleQueue()  # unlike an Event, a signal may interrupt its wait anywhere
+    scheduler = BackgroundScheduler(timezone=UTC)
+    scheduler.add_job(
+        lambda: due.put(None) if due.empty() else None,
+        "interval",
+        seconds=every_s,
+        next_run_time=datetime.now(UTC),
+        misfire_grace_time=None,
+    )
+
     interrupted_by(signal.SIGTERM, signal.SIGINT)
-    begin_s, n_due = time.time(), 0
     try:
+        scheduler.start()
+        # The job runs in this thread, where signals arrive; the scheduler's own thread only says when it is due.
         while True:
-            while (left_s := begin_s + n_due * every_s - time.time()) > 0.0:
-                time.sleep(min(left_s, LONGEST_WAIT_S))
             try:
+                due.get(timeout=LONGEST_WAIT_S)
                 job()
+            except Empty:
+                continue
             except (CoilcalError, OSError) as error:
                 click.echo(f"coilcal: {error}", err=True)
-            # Where intervals ended meanwhile, the last of them is due now.
-            n_due = max(n_due + 1, math.floor((time.time() - begin_s) / every_s))
     except KeyboardInterrupt:
         click.echo("coilcal: stopped", err=True)
+    finally:
+        if scheduler.running:
+            scheduler.shutdown(wait=False)
