@@ -1,4 +1,4 @@
-"""The database: SQLite in WAL mode, what an older version lacks, and transactions."""
+"""The database: SQLite in WAL mode, its migrations, and transactions."""
 
 from __future__ import annotations
 
@@ -11,14 +11,16 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import quote
 
-from sqlalchemy import Connection, Engine, create_engine, event, inspect, make_url
+from alembic.config import Config
+from alembic.runtime.environment import EnvironmentContext
+from alembic.script import ScriptDirectory
+from sqlalchemy import Connection, Engine, create_engine, event, make_url
 from sqlalchemy.exc import DBAPIError
 from sqlalchemy.orm import Session
-from sqlalchemy.schema import CreateColumn
 
 from estimator.errors import CoilcalError, CorruptStore, InvalidInput, reason
-from estimator.service.schema import EARLIER, VERSION, Base
 
+MIGRATIONS = Path(__file__).parent / "migrations"
 PATIENCE_S = 30  # a write waits this long for another one
 WRITES = "coilcal_writes"
 APPLICATION_ID = 0x636F696C  # "coil", in the header of the file
@@ -44,8 +46,8 @@ class Database:
         self._reading = _engine(path)
         self._writing = self._reading.execution_options(**{WRITES: True})
 
-    def migrate(self) -> None:
-        """Add what the file lacks of the present schema, all of it or nothing.
+    def migrate(self, revision: str = "head") -> None:
+        """Bring the schema to a revision; an interrupted migration leaves the schema as it was.
 
         Raises:
             InvalidInput: The file is that of another program or of a newer coilcal, or it cannot be written; it is as it was.
@@ -53,13 +55,26 @@ class Database:
         """
         check_database(self._path)
         try:
-            with self._writing.begin() as connection:
-                if _version(connection) != VERSION:
-                    _add_what_lacks(connection)
-                if connection.exec_driver_sql("PRAGMA application_id").scalar() != APPLICATION_ID:
-                    connection.exec_driver_sql(f"PRAGMA application_id={APPLICATION_ID}")
+            self._migrate(revision)
         except (DBAPIError, sqlite3.Error) as error:
             raise explained(self._path, error) from error
+
+    def _migrate(self, revision: str) -> None:
+        config = Config()
+        config.set_main_option("script_location", str(MIGRATIONS).replace("%", "%%"))
+        scripts = ScriptDirectory.from_config(config)
+
+        def steps(current: Any, _: Any) -> Any:
+            return scripts._upgrade_revs(revision, current)
+
+        with (
+            EnvironmentContext(config, scripts, fn=steps, destination_rev=revision) as environment,
+            self._writing.begin() as connection,
+        ):
+            environment.configure(connection=connection, render_as_batch=True)
+            environment.run_migrations()
+            if connection.exec_driver_sql("PRAGMA application_id").scalar() != APPLICATION_ID:
+                connection.exec_driver_sql(f"PRAGMA application_id={APPLICATION_ID}")
 
     @contextmanager
     def reading(self) -> Iterator[Session]:
@@ -81,29 +96,6 @@ class Database:
     def close(self) -> None:
         """Give back all connections."""
         self._reading.dispose()
-
-
-def _version(connection: Connection) -> str | None:
-    """Version of the schema; None of a new file. Alembic made this table in databases from before 2026-12-01."""
-    connection.exec_driver_sql(
-        "CREATE TABLE IF NOT EXISTS alembic_version (version_num VARCHAR(32) NOT NULL PRIMARY KEY)"
-    )
-    return connection.exec_driver_sql("SELECT version_num FROM alembic_version").scalar()
-
-
-def _add_what_lacks(connection: Connection) -> None:
-    """Make tables, columns and indexes that are not there."""
-    Base.metadata.create_all(connection)
-    for table in Base.metadata.sorted_tables:
-        there = {column["name"] for column in inspect(connection).get_columns(table.name)}
-        for column in table.columns:
-            if column.name not in there:
-                words = CreateColumn(column).compile(dialect=connection.dialect)
-                connection.exec_driver_sql(f"ALTER TABLE {table.name} ADD COLUMN {words}")
-        for index in table.indexes:
-            index.create(connection, checkfirst=True)
-    connection.exec_driver_sql("DELETE FROM alembic_version")
-    connection.exec_driver_sql("INSERT INTO alembic_version VALUES (?)", (VERSION,))
 
 
 def check_database(path: Path) -> None:
@@ -167,10 +159,11 @@ def _check_tables(connection: sqlite3.Connection, path: Path) -> None:
         if fault != "ok":
             raise CorruptStore(f"database must be whole; {path} is damaged")
     revisions = [word for (word,) in connection.execute("SELECT version_num FROM alembic_version")]
+    known = {file.name[1:5] for file in MIGRATIONS.glob("versions/v*.py")}
     if len(revisions) != 1:
         raise CorruptStore(f"database must be of one version; {path} names {len(revisions)}")
-    if revisions[0] not in EARLIER and revisions[0] != VERSION:
-        words = f"database must be of version {VERSION} at most; {path} is of {str(revisions[0])[:20]!r}"
+    if revisions[0] not in known:
+        words = f"database must be of version {max(known)} at most; {path} is of {str(revisions[0])[:20]!r}"
         raise InvalidInput(f"{words} (a newer coilcal has made it)")
 
 

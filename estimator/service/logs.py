@@ -39,3 +39,4 @@ def install_logs() -> None:
     handler.setFormatter(JsonLines())
     logging.basicConfig(level=logging.INFO, handlers=[handler], force=True)
     logging.getLogger("distributed").setLevel(logging.WARNING)
+    logging.getLogger("alembic").setLevel(logging.WARNING)

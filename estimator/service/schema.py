@@ -1,7 +1,6 @@
 """Tables of the service: what must survive besides readings and posteriors, which are zarr in folders.
 
-A database of an older version gets the tables, indexes and columns that it lacks: a new column may be null, and a change needs a new
-`VERSION`.
+A change here needs a migration in `migrations/versions`; a test compares the two.
 """
 
 from __future__ import annotations
@@ -11,7 +10,6 @@ from typing import Any
 from sqlalchemy import JSON, ForeignKey, Index, MetaData, UniqueConstraint
 from sqlalchemy.orm import DeclarativeBase, Mapped, mapped_column
 
-EARLIER, VERSION = ("0001", "0002", "0003", "0004", "0005"), "0006"
 # SQLite cannot alter what has no name.
 NAMES = {
     "ix": "ix_%(column_0_label)s",
