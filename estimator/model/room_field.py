@@ -130,15 +130,21 @@ class RoomField:
     def gradient_T_per_m(
         self, values: Values, current_A: Float[Tensor, "*#batch coil"]
     ) -> Float[Tensor, "*batch point 3 3"]:
-        """dB_i / dx_j in the world frame, by forward differentiation: what forces on dipoles need; NaN where `is_inside` says so."""
+        """dB_i / dx_j in the world frame, by forward differentiation: what forces on dipoles need."""
+        return self.gradient_by_point_T_per_m(values, current_A[..., None, :])
+
+    def gradient_by_point_T_per_m(
+        self, values: Values, current_A: Float[Tensor, "*#batch #point coil"]
+    ) -> Float[Tensor, "*batch point 3 3"]:
+        """dB_i / dx_j in the world frame, in T/m, with currents of its own at each point; NaN where `is_inside` says so."""
         columns = []
         for axis in range(3):
             direction = torch.zeros_like(self.points_m)
             direction[:, axis] = 1.0
             columns.append(
-                torch.func.jvp(lambda p: self.field_T(values, current_A, p), (self.points_m,), (direction,))[
-                    1
-                ]
+                torch.func.jvp(
+                    lambda p: self.field_by_point_T(values, current_A, p), (self.points_m,), (direction,)
+                )[1]
             )
         gradient = torch.stack(columns, dim=-1)
         return torch.where(self.is_inside[:, None, None], torch.nan, gradient)

@@ -8,7 +8,7 @@ from collections.abc import AsyncIterator, Mapping
 import pyarrow as pa
 from torch import Tensor
 
-from estimator.service.predictions import FIELD, GRADIENT
+from estimator.calibration.predictions import FIELD, GRADIENT
 
 ARROW = "application/vnd.apache.arrow.stream"
 AXES = "xyz"

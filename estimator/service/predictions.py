@@ -1,59 +1,39 @@
-"""Predictions: one after another, on a thread of their own, so that they hold up no other request and share the memory of one."""
+"""Predictions: those that arrive within a few milliseconds for one calibration run as one torch batch, on a thread of their own."""
 
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable, Mapping
-from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+import threading
+import time
+from collections.abc import Callable, Sequence
+from concurrent.futures import Future
+from dataclasses import dataclass, field
 from pathlib import Path
+from queue import SimpleQueue
 
 from torch import Tensor
 
+from estimator.calibration.predictions import Question, Wanted, answers
 from estimator.calibration.result import Calibration
 from estimator.service.concurrency import RefusingLimit
 
-BLOCK = 2_000  # points of a question; with 400 draws they take 20 MB, and small questions pass between the blocks of a large one
+WINDOW_S = 0.002  # a question waits so long for others, if none is there
+BLOCK = 2_000  # points of a batch; with 400 draws they take 20 MB, and small questions pass between the blocks of a large one
 RETRY_AFTER_S = 1
-FIELD = ("field_T", "field_lower_T", "field_upper_T")
-GRADIENT = ("gradient_T_per_m", "gradient_lower_T_per_m", "gradient_upper_T_per_m")
+
+Answer = dict[str, Tensor]
 
 
 @dataclass(frozen=True)
-class Wanted:
-    """What is asked of a calibration wherever the points lie; arguments as of `Calibration.field_interval`."""
-
-    currents_A: Mapping[str, float]
-    motion: Mapping[str, Tensor]
-    level: float = 0.9
-    has_field: bool = True
-    has_gradient: bool = False
-    has_intervals: bool = True
-    is_of_coils_alone: bool = False
-
-
-def answer(calibration: Calibration, points_m: Tensor, wanted: Wanted) -> dict[str, Tensor]:
-    """What `field`, `gradient` and their intervals say, by the names in `FIELD` and `GRADIENT`, in SI; NaN inside a winding.
-
-    Raises:
-        InvalidInput: As by these methods.
-    """
-    if wanted.is_of_coils_alone:
-        calibration = calibration.coils_alone()
-    told: dict[str, Tensor] = {}
-    for is_wanted, (name, lower, upper), predict, interval in (
-        (wanted.has_field, FIELD, calibration.field, calibration.field_interval),
-        (wanted.has_gradient, GRADIENT, calibration.gradient, calibration.gradient_interval),
-    ):
-        if is_wanted:
-            told[name] = predict(points_m, wanted.currents_A, wanted.motion)
-        if is_wanted and wanted.has_intervals:
-            told[lower], told[upper] = interval(points_m, wanted.currents_A, wanted.level, wanted.motion)
-    return told
+class _Waiting:
+    folder: Path
+    question: Question
+    wanted: Wanted
+    answer: Future[Answer] = field(default_factory=Future)
 
 
 class Predictor:
-    """Asks calibrations.
+    """Answers questions about calibrations.
 
     Args:
         load: Reads a calibration of a folder, from memory if it is there.
@@ -63,18 +43,66 @@ class Predictor:
     def __init__(self, load: Callable[[Path], Calibration], most_waiting: int) -> None:
         self._load = load
         self.limit = RefusingLimit("predictions", most_waiting, retry_after_s=RETRY_AFTER_S)
-        self._thread = ThreadPoolExecutor(1, "coilcal predictions")
+        self._queue: SimpleQueue[_Waiting | None] = SimpleQueue()
+        self._thread = threading.Thread(target=self._run, name="coilcal predictions", daemon=True)
+        self._thread.start()
 
-    async def ask(self, folder: Path, points_m: Tensor, wanted: Wanted) -> dict[str, Tensor]:
-        """The answer at `BLOCK` points at most.
+    async def ask(self, folder: Path, question: Question, wanted: Wanted) -> Answer:
+        """The answer to a question of at most `BLOCK` points.
 
         Raises:
-            InvalidInput: As by `answer`.
+            InvalidInput: As `estimator.calibration.predictions.answers`.
             CorruptStore: The calibration is damaged.
         """
-        asked = asyncio.get_running_loop().run_in_executor
-        return await asked(self._thread, lambda: answer(self._load(folder), points_m, wanted))
+        waiting = _Waiting(folder, question, wanted)
+        self._queue.put(waiting)
+        return await asyncio.wrap_future(waiting.answer)
 
     def close(self) -> None:
         """Answer what waits, and end."""
-        self._thread.shutdown()
+        self._queue.put(None)
+        self._thread.join()
+
+    def _run(self) -> None:
+        while (first := self._queue.get()) is not None:
+            if self._queue.empty():
+                time.sleep(WINDOW_S)
+            waiting: list[_Waiting] = [first]
+            while not self._queue.empty():
+                another = self._queue.get()  # no other thread takes from the queue
+                if another is None:
+                    self._queue.put(None)  # for the outer loop
+                    break
+                waiting.append(another)
+            for batch in _batches([each for each in waiting if each.answer.set_running_or_notify_cancel()]):
+                self._answer(batch)
+
+    def _answer(self, batch: Sequence[_Waiting]) -> None:
+        try:
+            answered = answers(
+                self._load(batch[0].folder), [each.question for each in batch], batch[0].wanted
+            )
+        except Exception as error:
+            if len(batch) == 1:
+                batch[0].answer.set_exception(error)
+                return
+            for each in batch:  # the fault of one is not the others'
+                self._answer([each])
+            return
+        for each, answer in zip(batch, answered, strict=True):
+            each.answer.set_result(answer)
+
+
+def _batches(waiting: Sequence[_Waiting]) -> list[list[_Waiting]]:
+    """Waiting questions in batches that can run together: of one calibration, for the same quantities, of `BLOCK` points at most."""
+    batches: list[list[_Waiting]] = []
+    open_batch: dict[tuple[Path, Wanted], list[_Waiting]] = {}
+    n_points: dict[tuple[Path, Wanted], int] = {}
+    for each in waiting:
+        key, n = (each.folder, each.wanted), len(each.question.points_m)
+        if key not in open_batch or n_points[key] + n > BLOCK:
+            open_batch[key], n_points[key] = [], 0
+            batches.append(open_batch[key])
+        open_batch[key].append(each)
+        n_points[key] += n
+    return batches

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import AsyncIterator, Mapping
-from dataclasses import fields
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple
 
@@ -15,10 +14,11 @@ from starlette.concurrency import run_in_threadpool
 from starlette.responses import Response, StreamingResponse
 from torch import Tensor
 
+from estimator.calibration import predictions
 from estimator.export.labels import caution_of
 from estimator.service.arrow import ARROW, arrow_stream
 from estimator.service.core import Core
-from estimator.service.predictions import BLOCK, Wanted
+from estimator.service.predictions import BLOCK
 from estimator.service.problems import Problem
 from estimator.service.readings import Number, Six
 from estimator.service.requests import CoreOf, Id, router_of
@@ -31,7 +31,6 @@ OfCoilsAlone = Annotated[
     bool, Field(description="Without what is there without current, such as the Earth's field.")
 ]
 MOST_COORDINATES = 10_000  # of one axis
-WANTED = {item.name for item in fields(Wanted)}
 JSON = "application/json"
 ARROW_RESPONSE: dict[str, Any] = {
     "response_class": StreamingResponse,
@@ -148,11 +147,12 @@ async def _blocks(
     core: Core, asked: Asked, points_m: Tensor, wish: Wish
 ) -> AsyncIterator[tuple[Tensor, Mapping[str, Tensor]]]:
     """What is predicted at some points after others, so that other questions pass between."""
+    wanted = predictions.Wanted(wish.has_field, wish.has_gradient, wish.has_intervals, wish.is_of_coils_alone)
     motion = {name: torch.tensor(values, dtype=torch.float64) for name, values in wish.motion.items()}
-    wanted = Wanted(**{**wish.model_dump(include=WANTED), "motion": motion})
     with core.predictor.limit.taken():
         for block in points_m.split(BLOCK):
-            yield block, await core.predictor.ask(asked.folder, block, wanted)
+            question = predictions.Question(block, wish.currents_A, motion, wish.level)
+            yield block, await core.predictor.ask(asked.folder, question, wanted)
 
 
 class Asked(NamedTuple):

@@ -9,7 +9,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from estimator.calibration.result import INTERVAL_DRAWS, Calibration
+from estimator.calibration.result import Calibration
 from estimator.errors import InvalidInput
 from estimator.model.simulate import simulate
 from estimator.readings.observations import Observations
@@ -107,18 +107,6 @@ def test_an_interval_holds_its_share_of_the_posterior(small_calibration, points_
         strong = fields.abs().mean(0) > 1e-6
         share = ((fields >= lower) & (fields <= upper)).double().mean(0)[strong]
         assert share.mean().item() == pytest.approx(level, abs=5 * (level * (1 - level) / len(fields)) ** 0.5)
-
-
-def test_intervals_come_from_400_evenly_spaced_draws(small_calibration, points_m):
-    values = small_calibration.draw_values(INTERVAL_DRAWS)
-    every = small_calibration.draws["coil1.radius_m"].T.reshape(-1)
-    chosen = np.linspace(0, every.size - 1, min(INTERVAL_DRAWS, every.size)).astype(int)
-    np.testing.assert_allclose(values["coil1.radius_m"].numpy(), every[chosen], rtol=1e-14)
-    room = small_calibration.room(points_m, None)
-    fields_T = room.field_T(values, small_calibration.currents({"coil1": 2.0}))
-    expected = torch.quantile(fields_T, torch.tensor([0.05, 0.95], dtype=torch.float64), dim=0)
-    ends = small_calibration.field_interval(points_m, {"coil1": 2.0})
-    torch.testing.assert_close(torch.stack(ends), expected, equal_nan=True)
 
 
 def test_a_posterior_over_noise_alone_has_a_field_without_width(rig_text, points_m):

@@ -1,13 +1,14 @@
-"""Predictions over HTTP: the numbers of the Python API, at points and on grids, as JSON and as Arrow; a bounded queue."""
+"""Predictions over HTTP: the numbers of the Python API, at points and on grids, as JSON and as Arrow; together in one batch; a bounded queue."""
 
 from __future__ import annotations
 
 import asyncio
 import io
 import json
-import time
+import threading
 import zipfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -18,14 +19,16 @@ import pytest
 import torch
 from starlette.testclient import TestClient
 
+from estimator.calibration.predictions import Question, Wanted
 from estimator.calibration.result import Calibration
 from estimator.client import Client, RemoteCalibration
 from estimator.diagnosis.posterior import doubted
 from estimator.errors import InvalidInput
 from estimator.export.formats import default_path
 from estimator.export.request import Grid
+from estimator.service import predictions as module
 from estimator.service.core import Core
-from estimator.service.predictions import Predictor, Wanted
+from estimator.service.predictions import Predictor
 from estimator.service.problems import Problem
 from estimator.service.schema import CalibrationRow, Job, SessionRow
 from estimator.service.tasks import CALIBRATION
@@ -214,35 +217,50 @@ def test_a_calibration_is_downloaded_as_it_lies_on_disk(client, small_calibratio
 # The queue
 
 
-def test_predictions_wait_for_each_other_and_a_fault_stays_with_its_own(small_calibration):
-    at_once, most = [0], [0]
+@pytest.fixture
+def slow(small_calibration: Calibration, monkeypatch: pytest.MonkeyPatch) -> Iterator[dict[str, Any]]:
+    """A predictor whose first batch waits for `go`, and what it was asked."""
+    told: dict[str, Any] = {"go": threading.Event(), "begun": threading.Event(), "sizes": []}
+    answer = module.answers
 
-    def load(_: Path) -> Calibration:
-        at_once[0] += 1
-        most[0] = max(most[0], at_once[0])
-        time.sleep(0.02)
-        at_once[0] -= 1
-        return small_calibration
+    def counted(calibration: Calibration, questions: list[Question], wanted: Wanted) -> Any:
+        told["sizes"].append(len(questions))
+        told["begun"].set()
+        told["go"].wait(30)
+        return answer(calibration, questions, wanted)
 
-    predictor, points_m = Predictor(load, most_waiting=9), torch.tensor(POINTS_M[:1], dtype=torch.float64)
-
-    async def ask(coil: str) -> Any:
-        return await predictor.ask(Path("any"), points_m, Wanted({coil: 2.0}, {}, has_intervals=False))
-
-    async def ask_all() -> list[Any]:
-        coils = ["coil1", "coil9", "coil1", "coil1"]
-        return await asyncio.gather(*map(ask, coils), return_exceptions=True)
-
-    first, wrong, *others = asyncio.run(ask_all())
-    predictor.close()
-    expected = small_calibration.field(points_m, CURRENTS_A)
-    assert all(torch.equal(answer["field_T"], expected) for answer in (first, *others))
-    assert isinstance(wrong, InvalidInput)
-    assert most == [1]
+    monkeypatch.setattr(module, "answers", counted)
+    told["predictor"] = Predictor(lambda _: small_calibration, most_waiting=2)
+    yield told
+    told["go"].set()
+    told["predictor"].close()
 
 
-def test_a_full_queue_says_when_to_come_again(small_calibration, client):
-    small = Predictor(lambda _: small_calibration, most_waiting=2)
+def ask(predictor: Predictor, coil: str = "coil1") -> Any:
+    question = Question(torch.tensor(POINTS_M[:1], dtype=torch.float64), {coil: 2.0}, {})
+    return asyncio.run(predictor.ask(Path("any"), question, Wanted(has_intervals=False)))
+
+
+def test_what_arrives_together_runs_as_one_batch_and_a_fault_stays_with_its_own(slow, small_calibration):
+    with ThreadPoolExecutor(6) as pool:
+        first = pool.submit(ask, slow["predictor"])
+        slow["begun"].wait(30)
+        others = [pool.submit(ask, slow["predictor"]) for _ in range(3)]
+        wrong = pool.submit(ask, slow["predictor"], "coil9")
+        while slow["predictor"]._queue.qsize() < 4:
+            pass
+        slow["go"].set()
+        expected = small_calibration.field(torch.tensor(POINTS_M[:1], dtype=torch.float64), CURRENTS_A)
+        for answer in (first, *others):
+            torch.testing.assert_close(answer.result()["field_T"], expected, rtol=1e-12, atol=0.0)
+        with pytest.raises(InvalidInput, match="coil9"):
+            wrong.result()
+    assert slow["sizes"] == [1, 4, 1, 1, 1, 1]
+
+
+def test_a_full_queue_says_when_to_come_again(slow, client):
+    slow["go"].set()
+    small: Predictor = slow["predictor"]
     with (
         small.limit.taken(),
         small.limit.taken(),
