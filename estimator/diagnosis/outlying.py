@@ -13,6 +13,7 @@ from torch import Tensor
 from estimator.calibration.policy import LARGER_THAN_NOISE
 from estimator.diagnosis import policy
 from estimator.diagnosis.fitting import Fit
+from estimator.diagnosis.hypotheses.instants import are_on_known_sides
 from estimator.diagnosis.row_mistakes import FACTORS
 from estimator.effects.stages import NoiseEffect
 from estimator.effects.use import as_meant, uses_of
@@ -85,7 +86,8 @@ def outliers_of(fit: Fit, observations: Observations, leaves_something: bool) ->
         probability = torch.sigmoid(bad - good)
     # Where something moves readings that no cause explains, only what is far off is a mistake for sure.
     is_far = miss_sd.abs() > (policy.FAR_FROM_EXPECTED if leaves_something else 0.0)
-    probable = ((probability > PROBABLY) & is_far).nonzero().flatten()
+    is_of_known_side = are_on_known_sides(fit, observations)[observations.is_measured.nonzero()[:, 0]]
+    probable = ((probability > PROBABLY) & is_far & is_of_known_side).nonzero().flatten()
     probable = probable[miss_sd[probable].abs().argsort(descending=True)]
     readings, components = observations.is_measured.nonzero()[probable].unbind(1)
     names = [fit.rig.sensors[sensor].name for sensor in observations.sensor[readings].tolist()]
@@ -145,6 +147,7 @@ def _with_other_currents(
             predicted_T = fit.model_of(other).predict(fit.values).expand(len(rows), 3)
             fields_T.append(predicted_T.gather(1, components[:MOST_TOLD, None])[:, 0])
     off = ((torch.stack(fields_T) - measured_T[:MOST_TOLD]) / sigma_T[:MOST_TOLD]).abs()
+    off[(settings[:, None] == rows.current_A).all(-1)] = torch.inf
     least, nearest = off.min(dim=0)
     names = [coil.name for coil in fit.rig.coils]
     words = [

@@ -9,6 +9,8 @@ import math
 from collections.abc import Collection, Mapping, Sequence
 
 import torch
+from jaxtyping import Bool
+from torch import Tensor
 
 from estimator.diagnosis import policy
 from estimator.diagnosis.fitting import Fit
@@ -94,21 +96,26 @@ def changes_at_its_instant(fit: Fit) -> bool:
     return all(int(n) >= policy.FEWEST_OF_ONE_MISTAKE for n in differing)
 
 
-def on_known_sides(fit: Fit, unseen: Observations) -> Observations:
-    """Unseen readings that lie on a known side of each instant at which a cause of a fit begins or ends.
+def on_known_sides(fit: Fit, readings: Observations) -> Observations:
+    """Readings that `are_on_known_sides`."""
+    return readings.rows(are_on_known_sides(fit, readings))
+
+
+def are_on_known_sides(fit: Fit, readings: Observations) -> Bool[Tensor, " reading"]:
+    """Whether readings lie on a known side of each instant at which a cause of a fit begins or ends.
 
     The fitted readings leave the instant open over some of them: a block of unseen ones may lie there, and readings without a field tell
     nothing.
 
     Args:
         fit: Whose causes may begin or end at an instant.
-        unseen: Readings of the same session; those of another one are all returned.
+        readings: Of the same session; those of another one all do.
     """
     circumstances = fit.circumstances
-    if unseen.history is not circumstances.observations.history:
-        return unseen
-    hours = Circumstances(fit.rig, unseen).hours
+    hours = Circumstances(fit.rig, readings).hours
     is_known = torch.ones_like(hours, dtype=torch.bool)
+    if readings.history is not circumstances.observations.history:
+        return is_known
     for cause in fit.rig.effects:
         names = {key: f"{cause.label}.{key}" for key in (SINCE, UNTIL)}
         instants_h = {key: float(fit.values[name]) for key, name in names.items() if name in fit.values}
@@ -120,7 +127,7 @@ def on_known_sides(fit: Fit, unseen: Observations) -> Observations:
                 key,
             )
             is_known &= (hours <= first_h) | (hours >= last_h)
-    return unseen.rows(is_known)
+    return is_known
 
 
 def _possible_from_to_h(

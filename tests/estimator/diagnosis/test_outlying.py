@@ -75,6 +75,9 @@ def test_a_current_of_other_readings_is_told_where_it_would_fit(fit, session):
     (told,) = (o for o in outliers if (o.reading, o.component) == (row, 2))
     full_A = float(readings.current_A[row, 0])
     assert told.words == f"fits {0.5 * full_A:.4g} A where {full_A:.4g} A is written"
+    field_T[row, 2] = readings.field_sensor_T[row, 2] + 4.6 * fit.posterior.sigma_T(fit.vector)[0]
+    outliers = outliers_of(fit, replace(readings, current_A=current_A).with_field(field_T), False)
+    assert {o.words for o in outliers if (o.reading, o.component) == (row, 2)} <= {""}
 
 
 def test_its_probability_is_that_of_a_mixture_of_two_normals(fit, session):

@@ -17,6 +17,7 @@ from estimator.diagnosis.fitting import fit_rig
 from estimator.diagnosis.hypotheses.candidates import candidates
 from estimator.diagnosis.hypotheses.instants import best_instants, on_known_sides
 from estimator.diagnosis.mixture.listed import _at_finer_instants, _weighed, starts_of
+from estimator.diagnosis.outlying import outliers_of
 from estimator.diagnosis.posterior import judged_as_handed_out
 from estimator.diagnosis.result import Diagnosis
 from estimator.diagnosis.validation import improvement_of
@@ -94,7 +95,7 @@ def test_unseen_readings_over_which_an_instant_is_open_are_on_no_known_side(
 ):
     """Where a block is kept out about the instant, the fitted readings beside it are all that says when it was.
 
-    They judge neither a fit nor the posterior that is drawn beside it.
+    They judge neither a fit nor the posterior that is drawn beside it, and none of them is an outlier.
     """
     whole = small_session.observations.calibration
     whole = whole.rows(torch.argsort(whole.time_s))
@@ -111,6 +112,9 @@ def test_unseen_readings_over_which_an_instant_is_open_are_on_no_known_side(
     fit = fit_rig(rig, fitted, rig.nominal_values(), MeasurementModel.build(truth, fitted).rules)
     told = on_known_sides(fit, unseen)
     assert told.time_s.tolist() == wrong.rows(is_late).time_s.tolist()
+    later = with_effect(truth, cause, fitted, {"since_h": float(hours[middle + 3])})
+    as_probable = fit_rig(later, fitted, later.nominal_values(), fit.posterior.model.rules)
+    assert outliers_of(as_probable, wrong, leaves_something=False) == []
     without = fit_rig(truth, fitted, {}, fit.posterior.model.rules)
     assert len(on_known_sides(without, unseen)) == len(unseen)
     improvement = improvement_of(without, fit, told)
