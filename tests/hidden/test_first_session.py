@@ -40,5 +40,5 @@ def test_the_room_is_fitted_though_not_mentioned_and_the_loops_are_counted(sessi
 def test_as_described_it_is_suspect_and_readings_without_current_say_so(session):
     summary = calibrate(session, seed=1, as_described=True, settings=SETTINGS).summary()
     assert summary["quality"]["verdict"] == "suspect"
-    assert "1.7 times what the expected noise leaves" in summary["quality"]["reasons"][0]
+    assert "1.7 times what repeated readings scatter by" in summary["quality"]["reasons"][0]
     assert not summary["fitted_besides"]

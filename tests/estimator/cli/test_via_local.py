@@ -252,7 +252,7 @@ def test_one_server_of_a_user_carries_out_commands(run: Path) -> None:
     _, told = second.communicate(timeout=LONGEST_S)
     assert (second.returncode, told) == (
         2,
-        b"coilcal: no other coilcal serve of yours may carry out commands; one does\n",
+        "coilcal: no other coilcal serve of yours may carry out commands; one does\n",
     )
 
 
