@@ -55,7 +55,6 @@ def test_the_simulations_own_mistake_is_named_and_taken_back():
     assert abs(after_m) < 1e-3
 
 
-@pytest.mark.slow
 def test_a_mistake_of_the_record_that_only_bent_the_literal_simulation_is_taken_back(tmp_path):
     """A short coil in other units hides what eq 13 does; beside spherical_sum the record needs no mistake."""
     draw_session(801).write(tmp_path)

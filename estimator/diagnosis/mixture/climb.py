@@ -75,8 +75,30 @@ def climbed(
         best, last = [replace(_likeliest([*best, last]), changes=None)], there
         shapes |= {start.candidate.cause: start.candidate.shapes for start in moved.present}
     there = _likeliest([*best, last])
+    there = _likeliest([there, *one_for_all(first, there, limits, seed)])
     there = _likeliest([there, *with_one_more(there, limits, seed, shapes)])
     return first, replace(there, samples=there.slots.sample(SAMPLING, seed, there.leading))
+
+
+def one_for_all(first: Asked, there: Asked, limits: Limits, seed: int) -> list[Asked]:
+    """The readings asked about the best fit with one cause in place of all that lead, where a linear model foretells as much of it.
+
+    Where the rig as described is far from the readings, its linear model may put several causes before the one that is there.
+    """
+    items, listed = first.dictionary.items, there.causes_of(there.leading)
+    if len(there.leading) != len(listed) or len(listed) < 2 or limits.is_over:
+        return []
+    gain = there.expansion.fit.log_evidence - first.expansion.fit.log_evidence
+    evidence = first.slots.evidence((), first.noise_number)
+    alone = dict[Cause, int]()
+    for i in evidence.argsort(descending=True).tolist():
+        if items[i].is_listed and items[i].cause not in listed and float(evidence[i]) > gain:
+            alone.setdefault(items[i].cause, i)
+    fits = list(each(lambda i: first.moved([i]), [*alone.values()][:MOST_STARTS]))
+    best = max(fits, key=lambda at: at.fit.log_evidence, default=there.expansion)
+    if best.fit.log_evidence <= there.expansion.fit.log_evidence:
+        return []
+    return [ask(best, limits, seed, {}, first)]
 
 
 def with_one_more(
