@@ -76,7 +76,7 @@ def climbed(
         shapes |= {start.candidate.cause: start.candidate.shapes for start in moved.present}
     there = _likeliest([*best, last])
     there = _likeliest([there, *one_for_all(first, there, limits, seed)])
-    there = _likeliest([there, *with_one_more(there, limits, seed, shapes)])
+    there = _likeliest([there, *without_departures(there, limits, seed, shapes)])
     return first, replace(there, samples=there.slots.sample(SAMPLING, seed, there.leading))
 
 
@@ -101,18 +101,36 @@ def one_for_all(first: Asked, there: Asked, limits: Limits, seed: int) -> list[A
     return [ask(best, limits, seed, {}, first)]
 
 
-def with_one_more(
+def without_departures(
     there: Asked, limits: Limits, seed: int, shapes: Mapping[Cause, dict[str, float]]
 ) -> list[Asked]:
-    """The readings asked about the best fit with a second piece of what leads, in place of all departures that lead.
+    """The readings asked about the fit with the listed causes that lead beside departures, and on while what leads becomes more probable.
+
+    Departures follow in one step what several causes do of which only some were fitted; beside all of them they lead no more.
+    """
+    asked = [there]
+    for _ in range(MOST_EXPANSIONS):
+        at, items = asked[-1], asked[-1].dictionary.items
+        listed = [i for i in at.leading if items[i].is_listed]
+        has_all = (
+            len(listed) == len(at.leading) if at is there else at.causes_of(listed) == {*at.expansion.causes}
+        )
+        is_worse = len(asked) > 1 and at.log_density <= asked[-2].log_density
+        if not listed or has_all or is_worse or limits.is_over:
+            break
+        asked.append(ask(at.moved(listed), limits, seed, shapes, at))
+    if len(asked) > 1 and {*asked[1].expansion.causes} & _repeated(asked[1]):
+        asked += with_one_more(asked[1], limits, seed, shapes)
+    return asked[1:]
+
+
+def with_one_more(
+    alone: Asked, limits: Limits, seed: int, shapes: Mapping[Cause, dict[str, float]]
+) -> list[Asked]:
+    """The readings asked about the best fit with a second piece of what it has.
 
     The first piece then stands between the two, so that departures follow in one step what only a fit that moves both can explain.
     """
-    items = there.dictionary.items
-    listed = [i for i in there.leading if items[i].is_listed]
-    if len(listed) == len(there.leading) or limits.is_over or not there.causes_of(listed) & _repeated(there):
-        return []
-    alone = ask(there.moved(listed), limits, seed, shapes, there)
     items, present = alone.dictionary.items, _present(alone.dictionary.items, alone.expansion, ())
     evidence = alone.slots.products.beside(present, alone.noise) + alone.slots.log_prior
     clearest = dict[str, int]()
