@@ -88,7 +88,7 @@ def test_a_supply_that_is_found_on_is_left_on(rig_path, simulated):
 def test_faults_are_one_sentence_each_and_the_others_still_answer(rig_path, simulated):
     simulated.simulators["hall"].faults.fault = Fault.MUTE
     try:
-        result = run("devices", "check", rig_path, "--json", "--timeout", 0.5)
+        result = run("devices", "check", rig_path, "--json", "--timeout", 1.5)
     finally:
         simulated.simulators["hall"].faults.fault = Fault.NONE
     assert result.exit_code == 5
