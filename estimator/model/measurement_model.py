@@ -65,9 +65,10 @@ class MeasurementModel:
     def for_values(cls, rig: Rig, observations: Observations, values: Values) -> MeasurementModel:
         """Set the model up with quadrature rules for given values, such as fitted ones.
 
-        A fit may move a winding nearer to a sensor than the nominal values have it, even around it; nothing is refused then.
+        A fit may move a winding nearer to a sensor than the nominal values have it, even around it; nothing is refused then, and all loops
+        are added up.
         """
-        return cls.unruled(rig, observations).choose_rules(values, is_refusing=False)
+        return cls.unruled(rig, observations).choose_rules(values, is_refusing=False, sums_around=True)
 
     @classmethod
     def unruled(cls, rig: Rig, observations: Observations) -> MeasurementModel:
@@ -184,9 +185,20 @@ class MeasurementModel:
         return replace(self, sources=at.sources, sensor=at.sensor)
 
     def choose_rules(
-        self, values: Values, tolerance: float = DEFAULT_TOLERANCE, is_refusing: bool = True
+        self,
+        values: Values,
+        tolerance: float = DEFAULT_TOLERANCE,
+        is_refusing: bool = True,
+        sums_around: bool = False,
     ) -> MeasurementModel:
-        """This model with quadrature rules chosen at these values (no batch); `is_refusing` refuses sensors inside a winding."""
+        """This model with quadrature rules chosen at these values (no batch).
+
+        Args:
+            values: Of the rig's numbers.
+            tolerance: Of the fields outside windings.
+            is_refusing: Refuse sensors inside a winding.
+            sums_around: Add up all loops of a winding around a sensor, where no quadrature holds.
+        """
         values, rules = self.alike(values), {}
         is_nominal = all(torch.equal(value, self.nominal[name]) for name, value in values.items())
         for coil in self.rig.coils:
@@ -200,9 +212,11 @@ class MeasurementModel:
                 refuse(field.rules(points_m), rows, self.pose_row, line, self.rig.name, is_nominal)
             if field.winding is None:
                 continue
-            points_m = points_m[~field.has_none(points_m)]
-            if len(points_m):
-                rules[coil.name] = choose_rule(field.winding, points_m, tolerance)
+            is_outside = ~field.has_none(points_m)
+            if sums_around and not bool(is_outside.all()):
+                rules[coil.name] = choose_rule(field.winding, points_m, tolerance=0.0)
+            elif bool(is_outside.any()):
+                rules[coil.name] = choose_rule(field.winding, points_m[is_outside], tolerance)
         return self.with_rules(rules)
 
     def predict(self, values: Values) -> Float[Tensor, "*batch reading 3"]:

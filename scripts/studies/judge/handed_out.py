@@ -86,7 +86,7 @@ class HandedOut:
         """Errors of the best values on readings; inside a winding, where `predict` has no value, by the measurement model."""
         measured, predicted_T = observations.field_sensor_T.numpy(), self.readings_T(observations)
         if predicted_T.isnan().any():
-            model = MeasurementModel.build(self.rig, as_meant(self.rig, observations))
+            model = MeasurementModel.for_values(self.rig, as_meant(self.rig, observations), self.values)
             predicted_T = torch.where(predicted_T.isnan(), model.predict(self.values), predicted_T)
         metrics = error_metrics(measured, predicted_T.numpy())
         n = int(np.isfinite(measured).sum())

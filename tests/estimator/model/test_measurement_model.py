@@ -23,6 +23,7 @@ from estimator.rig_files.read import rig_from_text
 from estimator.rig_files.write import rig_text
 from estimator.units import MU0_T_M_PER_A
 from tests.by_zones import winding_field
+from tests.independent.readings import coil_field_T
 
 LOOP = "radius_mm: 50.5, wire_radius_mm: 0.5, axial_loops: 1, radial_loops: 1"  # of 50 mm, 0.5 mm behind the face
 COIL = "radius_mm: 51, wire_radius_mm: 0.49, axial_loops: 12, radial_loops: 8"
@@ -134,6 +135,21 @@ def test_a_fit_that_puts_a_sensor_into_the_winding_does_not_blame_the_rig_file()
         MeasurementModel.build(
             rig(f"coil1: {{{COIL}, world_from_coil: {{x_mm: -47, z_mm: 5}}}}"), readings([[1.0]])
         )
+
+
+def test_where_a_fit_puts_a_sensor_into_the_winding_all_loops_are_added_up():
+    """As magpylib adds them up: an error that is told of such a fit is that of the model."""
+    of = rig(f"coil1: {{{COIL}}}", "hall: {noise_uT: 20, carried_by: stage}", "stage: {motion: pose}")
+    at_m = np.array([[0.0471, 0.0, -0.0053], [0.01, 0.005, 0.03]])
+    at_them = readings([[1.0]] * 2, {"stage": torch.from_numpy(np.c_[at_m, np.zeros((2, 3))])})
+    told_T = MeasurementModel.for_values(of, at_them, nominal(of)).predict(nominal(of))
+    np.testing.assert_allclose(told_T, coil_field_T(at_m, 0.051, 0.00049, 12, 8, 1.0), rtol=1e-9, atol=1e-15)
+    by_quadrature_T = (
+        MeasurementModel.unruled(of, at_them)
+        .choose_rules(nominal(of), is_refusing=False)
+        .predict(nominal(of))
+    )
+    assert (by_quadrature_T - told_T)[0].norm() > 0.02 * told_T[0].norm()
 
 
 def test_session_without_any_current_predicts_zero():
