@@ -123,8 +123,7 @@ def assessment(
         *_missed_unseen(fit, calibration),
         *tensions((p for p in rig.free if not p.name.endswith(".noise_T")), medians),
     ]
-    readings = getattr(calibration.observations, role)
-    if coverage90 is not None and is_too_few(coverage90, int(readings.is_measured.sum())):
+    if coverage90 is not None and is_too_few(coverage90, int(judged.is_measured.sum())):
         reasons.append(f"only {percent(coverage90)} of the readings' components lie in their 90 % intervals.")
     if (next_degree_log_evidence or 0.0) > CLEAR_LOG_EVIDENCE:
         reasons.append(

@@ -205,13 +205,13 @@ def validation_scores(
         error_metrics(numpy_of(unseen.field_sensor_T), numpy_of(each), is_on)
         for each in (predicted_T, shown_T)
     )
-    elpd, noise = float(by_reading.sum()), partial(_noise_rms_T, fit, unseen)
+    elpd, noise = float(by_reading.sum()), partial(_noise_and_words, fit, unseen)
     return ValidationScores(
         errors, elpd, coverage[0.5], coverage[0.9], by_reading, predicted, of_prediction, noise
     )
 
 
-def _noise_rms_T(fit: Fit, unseen: Observations) -> tuple[float, str]:
+def _noise_and_words(fit: Fit, unseen: Observations) -> tuple[float, str]:
     """What noise leaves of readings, by the rig file, and by those that were fitted where a sensor read often at one place."""
     scatter = scatter_of_sensors(fit.rig, fit.observations)
     return noise_rms_T(fit.rig, unseen, fit.rig.nominal_values(), scatter), noise_words(bool(scatter))
